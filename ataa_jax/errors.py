@@ -1,0 +1,9 @@
+"""The one exception a user's mistake becomes."""
+
+
+class InputError(ValueError):
+    """Says what was given, what was expected and what to do, in one sentence.
+
+    The command line prints it without a traceback and exits with code 2; library
+    users may catch it as a `ValueError`.
+    """
