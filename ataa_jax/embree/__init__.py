@@ -1,0 +1,344 @@
+"""Rays against the scene: the one module that knows Embree.
+
+`build` makes a `Tracer` from a scene, once. `intersect` and `occluded` trace batches
+of rays under `jit`, as host callbacks that are pure functions of their operands; the
+tracer's ``*_numpy`` methods do the same for host code.
+
+A hit lies strictly beyond the ray's origin and, for `occluded`, strictly before its
+distance. Both sides of a triangle are hit; shading turns the normal. A masked
+material is hit where its mask is solid (`masks` states the rule). A ray that is not
+finite, or has no direction, misses.
+
+Two ways lead to Embree, with the same hits: 16 rays at a time through its C interface
+(`packets`), and one at a time through embreex's classes (`fallback`), about four
+times slower, where that interface cannot be reached.
+
+Embree runs in robust mode. A ray through an edge or vertex that triangles share can
+still slip between them (Embree's issue 181); such a miss is left as it is.
+"""
+
+import functools
+from typing import NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ataa_jax import errors, types
+from ataa_jax.embree import library, masks
+from ataa_jax.embree.fallback import RunBackend
+from ataa_jax.embree.packets import PacketBackend
+from ataa_jax.embree.workers import set_threads, threads
+
+__all__ = [
+    "HostHits",
+    "Tracer",
+    "build",
+    "intersect",
+    "occluded",
+    "set_threads",
+    "threads",
+]
+
+# Asynchronous dispatch has hung host callbacks on the CPU (jax issue 25861). This
+# acts when JAX makes its CPU client, so it stands at import, before any array exists.
+jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+BACKENDS = ("auto", "packet", "run")
+
+
+class HostHits(NamedTuple):
+    """`types.Hits` as NumPy arrays. A miss has triangle −1 and distance inf."""
+
+    distance: np.ndarray  # float32 (n,), in units of the ray direction's length
+    triangle: np.ndarray  # int32 (n,)
+    barycentric: np.ndarray  # float32 (n, 2), weights of corners 1 and 2
+
+
+class _Backend(Protocol):
+    """What both ways to Embree offer; arrays are contiguous and of the right type."""
+
+    def intersect(
+        self,
+        world_from_group: np.ndarray,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        tile: tuple[int, int] | None,
+        coherent: bool,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+
+    def occluded(
+        self,
+        world_from_group: np.ndarray,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        distance: np.ndarray,
+        active: np.ndarray,
+        tile: tuple[int, int] | None,
+        coherent: bool,
+    ) -> np.ndarray: ...
+
+
+class Tracer:
+    """A scene's geometry inside Embree.
+
+    Compares and hashes by identity, so it can be a static argument of `jax.jit`. Its
+    memory is Embree's own and is freed with it. Any number of threads may use it.
+
+    Attributes:
+        group_count: Rigid groups it knows; `world_from_group` has at least as many.
+        backend: ``packet`` or ``run``.
+    """
+
+    def __init__(self, backend: str, group_count: int, way: _Backend) -> None:
+        self.backend = backend
+        self.group_count = group_count
+        self._way = way
+
+    def __repr__(self) -> str:
+        return f"Tracer(backend={self.backend!r}, group_count={self.group_count})"
+
+    def intersect_numpy(
+        self,
+        world_from_group: np.ndarray,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        *,
+        tile: tuple[int, int] | None = None,
+        coherent: bool = True,
+    ) -> HostHits:
+        """Does what `intersect` does, on NumPy arrays."""
+        _check(self, world_from_group, origin, direction, tile)
+        return HostHits(
+            *self._way.intersect(
+                self._matrices(world_from_group),
+                _float32(origin),
+                _float32(direction),
+                tile,
+                coherent,
+            )
+        )
+
+    def occluded_numpy(
+        self,
+        world_from_group: np.ndarray,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        distance: np.ndarray,
+        active: np.ndarray,
+        *,
+        tile: tuple[int, int] | None = None,
+        coherent: bool = True,
+    ) -> np.ndarray:
+        """Does what `occluded` does, on NumPy arrays."""
+        _check(self, world_from_group, origin, direction, tile)
+        _check_lengths(origin, distance, active)
+        return self._way.occluded(
+            self._matrices(world_from_group),
+            _float32(origin),
+            _float32(direction),
+            _float32(distance),
+            np.ascontiguousarray(active, np.bool_),
+            tile,
+            coherent,
+        )
+
+    def _matrices(self, world_from_group: np.ndarray) -> np.ndarray:
+        matrices = np.array(world_from_group, np.float32)[: self.group_count]
+        matrices[0] = np.eye(3, 4, dtype=np.float32)  # group 0 is the world
+        return matrices
+
+
+def build(
+    scene: types.Scene, *, backend: str = "auto", device_config: str = ""
+) -> Tracer:
+    """Builds Embree's acceleration structures, once a scene.
+
+    Args:
+        scene: The scene; its arrays are copied.
+        backend: ``packet`` (16 rays at a time), ``run`` (one at a time), or ``auto``:
+            packets where Embree's C interface can be reached.
+        device_config: Handed to Embree's ``rtcNewDevice``, for example
+            ``"isa=avx2"`` or ``"threads=1"``; only packets have it.
+
+    Returns:
+        The tracer.
+
+    Raises:
+        InputError: The backend is unknown, or packets were asked for and cannot be
+            had, or a triangle names a material or group that does not exist.
+        RuntimeError: Embree reported an error.
+    """
+    if backend not in BACKENDS:
+        raise errors.InputError(
+            f"backend is {backend!r}; choose one of {', '.join(BACKENDS)}"
+        )
+    clib = None if backend == "run" else library.load()
+    if backend == "packet" and clib is None:
+        raise errors.InputError(
+            "Embree's C interface was not found in the embreex package; "
+            "install embreex 4.4 or later, or choose backend 'run'"
+        )
+    _check_ids(scene)
+    split = masks.split(scene)
+    group_count = len(split.opaque)
+    if clib is None:
+        return Tracer("run", group_count, RunBackend(scene, split))
+    return Tracer(
+        "packet", group_count, PacketBackend(clib, scene, split, device_config)
+    )
+
+
+def intersect(
+    tracer: Tracer,
+    world_from_group: Float[Array, "g 3 4"],
+    origin: Float[Array, "n 3"],
+    direction: Float[Array, "n 3"],
+    *,
+    tile: tuple[int, int] | None = None,
+    coherent: bool = True,
+) -> types.Hits:
+    """Finds the nearest solid hit of each ray, inside `jit` or outside.
+
+    Not differentiable: no gradient flows through it, into rays or transforms.
+
+    Args:
+        tracer: The scene, static under `jit`.
+        world_from_group: Where the rigid groups are. Row 0 is not read: group 0 is
+            the world. A group without an inverse (scaled to nothing, or flattened)
+            is not there.
+        origin: World space.
+        direction: World space, of any length but 0.
+        tile: (height, width) if the rays are the pixels of an image in row-major
+            order: rays of 4×4 pixels then travel together, which is faster.
+        coherent: A hint that neighbouring rays take similar ways.
+
+    Returns:
+        The hits, in the order of the rays; distance > 0.
+
+    Raises:
+        InputError: The shapes do not fit together.
+    """
+    _check(tracer, world_from_group, origin, direction, tile)
+    count = origin.shape[0]
+    shapes = (
+        jax.ShapeDtypeStruct((count,), jnp.float32),
+        jax.ShapeDtypeStruct((count,), jnp.int32),
+        jax.ShapeDtypeStruct((count, 2), jnp.float32),
+    )
+    distance, triangle, barycentric = jax.pure_callback(
+        functools.partial(_intersect_host, tracer, tile, coherent),
+        shapes,
+        *jax.lax.stop_gradient((world_from_group, origin, direction)),
+        vmap_method="sequential",
+    )
+    return types.Hits(distance=distance, triangle=triangle, barycentric=barycentric)
+
+
+def occluded(
+    tracer: Tracer,
+    world_from_group: Float[Array, "g 3 4"],
+    origin: Float[Array, "n 3"],
+    direction: Float[Array, "n 3"],
+    distance: Float[Array, " n"],
+    active: Bool[Array, " n"],
+    *,
+    tile: tuple[int, int] | None = None,
+    coherent: bool = True,
+) -> Bool[Array, " n"]:
+    """Says which rays meet anything solid, inside `jit` or outside.
+
+    Args:
+        tracer: The scene, static under `jit`.
+        world_from_group: As in `intersect`.
+        origin: World space.
+        direction: World space, of any length but 0.
+        distance: A hit counts if 0 < its distance < this, in units of the direction's
+            length; inf: anywhere along the ray; 0, negative or NaN: nowhere.
+        active: Rays to trace; the others cost nothing and answer False.
+        tile: As in `intersect`.
+        coherent: As in `intersect`.
+
+    Returns:
+        True where something is in the way.
+
+    Raises:
+        InputError: The shapes do not fit together.
+    """
+    _check(tracer, world_from_group, origin, direction, tile)
+    _check_lengths(origin, distance, active)
+    operands = (world_from_group, origin, direction, distance)
+    return jax.pure_callback(
+        functools.partial(_occluded_host, tracer, tile, coherent),
+        jax.ShapeDtypeStruct((origin.shape[0],), jnp.bool_),
+        *jax.lax.stop_gradient(operands),
+        active,
+        vmap_method="sequential",
+    )
+
+
+def _intersect_host(
+    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool, *operands: object
+) -> HostHits:
+    arrays = (np.asarray(operand) for operand in operands)
+    return tracer.intersect_numpy(*arrays, tile=tile, coherent=coherent)
+
+
+def _occluded_host(
+    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool, *operands: object
+) -> np.ndarray:
+    arrays = (np.asarray(operand) for operand in operands)
+    return tracer.occluded_numpy(*arrays, tile=tile, coherent=coherent)
+
+
+def _float32(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, np.float32)
+
+
+def _check(
+    tracer: Tracer,
+    world_from_group: Array | np.ndarray,
+    origin: Array | np.ndarray,
+    direction: Array | np.ndarray,
+    tile: tuple[int, int] | None,
+) -> None:
+    """Checks shapes, once for all callers: nothing may fail inside a callback."""
+    matrices = world_from_group.shape
+    if matrices[1:] != (3, 4) or matrices[0] < tracer.group_count:
+        raise errors.InputError(
+            f"world_from_group has shape {matrices}; "
+            f"the scene needs ({tracer.group_count}, 3, 4)"
+        )
+    if origin.shape != direction.shape or origin.shape[1:] != (3,):
+        raise errors.InputError(
+            f"rays have origins of shape {origin.shape} and directions of shape "
+            f"{direction.shape}; both must be (n, 3)"
+        )
+    if tile is not None and tile[0] * tile[1] != origin.shape[0]:
+        raise errors.InputError(
+            f"tile {tile} is an image of {tile[0] * tile[1]} pixels, "
+            f"but there are {origin.shape[0]} rays"
+        )
+
+
+def _check_lengths(origin: Array | np.ndarray, *others: Array | np.ndarray) -> None:
+    for other in others:
+        if other.shape != origin.shape[:1]:
+            raise errors.InputError(
+                f"{origin.shape[0]} rays need as many distances and active flags; "
+                f"got shape {other.shape}"
+            )
+
+
+def _check_ids(scene: types.Scene) -> None:
+    group = np.asarray(scene.geometry.group)
+    if group.size and group.min() < 0:
+        raise errors.InputError(f"rigid group {group.min()} of a triangle is negative")
+    material = np.asarray(scene.geometry.material)
+    count = np.asarray(scene.materials.alpha_masked).size
+    if material.size and not (0 <= material.min() and material.max() < count):
+        raise errors.InputError(
+            f"triangles name materials {material.min()} to {material.max()}, "
+            f"but the scene has {count}"
+        )
