@@ -1,0 +1,421 @@
+"""Every method on the same sequence against the same reference: images and scores.
+
+Nothing here writes files; `report` does. Timings are kept apart from scores, so that
+all else is a function of the input.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import numpy as np
+import psutil
+
+from ataa_jax import color as colors
+from ataa_jax import fxaa, metrics, pipeline, raster, reference, sampling, segmentation
+from ataa_jax.errors import InputError
+from ataa_jax.raster import RasterOutput
+from ataa_jax.types import FrameInputs, State
+from ataa_jax.world import Sequence
+
+# Method name → label of its row, in the order of the table.
+METHODS: dict[str, str] = {
+    "none": "No AA",
+    "fxaa": "FXAA",
+    "taa_ue4": "TAA (literature)",
+    "taa": "TAA (tuned)",
+    "ataa2": "ATAA 2x",
+    "ataa4": "ATAA 4x",
+    "ataa8": "ATAA 8x",
+    "ataa8_ue4": "ATAA 8x (literature TAA)",
+    "ssaa2": "SSAA 2x",
+    "ssaa4": "SSAA 4x",
+    "ssaa8": "SSAA 8x",
+    "ssaa16": "SSAA 16x",
+}
+REFERENCE = "reference"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to compare, and how."""
+
+    frames: int = 12
+    # our choice: frames rendered before the first that is scored, so that a sequence
+    # shows steady motion; the first frame, all of it new, is a case of its own.
+    lead_in: int = 8
+    reference_samples: int = 64
+    budget: float = 0.5  # rays a pixel; the paper's 8x stays under it
+    average: colors.Average = "tonemap"
+    methods: tuple[str, ...] = tuple(METHODS)
+    params: pipeline.Params | None = None  # overrides the tuned preset's numbers
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method on one frame; shares are of the frame's pixels."""
+
+    method: str
+    frame: int
+    ssim: float
+    psnr: float
+    flip: float
+    flicker: float
+    border_mse: float  # of the outer five pixels, which SSIM leaves out
+    thin_mse: float  # of pixels that wires, ropes, slats and leaves cross
+    fxaa_share: float = 0.0
+    taa_share: float = 0.0
+    ataa_share: float = 0.0
+    rays_per_pixel: float = 0.0  # sparse primary rays over all pixels
+    overflow_share: float = 0.0  # asked for rays beyond the budget
+
+
+@dataclass
+class Comparison:
+    """All that a report shows."""
+
+    scene: str
+    path: str
+    size: tuple[int, int]
+    options: Options
+    notes: list[str]
+    scores: list[Score] = field(default_factory=list)
+    # sRGB uint8 (h, w, 3) a frame, by method and `reference`.
+    images: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    # uint8 (h, w) METHOD_* a frame, and uint8 WHY_* bits, by ATAA method.
+    masks: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    whys: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    stage_ms: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    peak_memory_bytes: int = 0
+
+    def mean(self, method: str, column: str) -> float:
+        """Returns a score's mean over the frames, leaving out NaN."""
+        values = [
+            getattr(score, column) for score in self.scores if score.method == method
+        ]
+        finite = [value for value in values if not np.isnan(value)]
+        return float(np.mean(finite)) if finite else float("nan")
+
+    def milliseconds(self, method: str, stage: str | None = None) -> float:
+        """Returns the median time a frame of one stage, or the sum over all stages."""
+        stages = self.stage_ms.get(method, {})
+        if stage is not None:
+            return float(np.median(stages[stage])) if stages.get(stage) else 0.0
+        return float(sum(np.median(times) for times in stages.values() if times))
+
+
+def check_methods(names: Iterable[str]) -> tuple[str, ...]:
+    """Returns the methods asked for.
+
+    Raises:
+        InputError: one of them is unknown.
+    """
+    chosen = tuple(names)
+    for name in chosen:
+        if name not in METHODS:
+            raise InputError(
+                f"unknown method '{name}'; known are {', '.join(METHODS)}"
+            )
+    return chosen
+
+
+def compare(
+    shot: Sequence,
+    options: Options,
+    progress: Callable[[str, int, int], None] = lambda text, done, total: None,
+) -> Comparison:
+    """Runs the methods over the sequence and scores them against the reference.
+
+    Args:
+        shot: the world along a path.
+        options: methods, frames, reference, budget.
+        progress: told what is done, and how many of how many steps.
+
+    Returns:
+        Images, masks, scores and times.
+
+    Raises:
+        InputError: an unknown method.
+    """
+    check_methods(options.methods)
+    result = Comparison(
+        scene=shot.world.name,
+        path=shot.path.name,
+        size=shot.size,
+        options=options,
+        notes=list(shot.world.notes),
+    )
+    runners = [runner(name, shot, options) for name in options.methods]
+    total = options.frames * options.reference_samples + options.lead_in
+    done = 0
+
+    def step(text: str) -> None:
+        nonlocal done
+        done += 1
+        progress(text, done, total)
+
+    drawer = Drawer(shot)
+    previous: dict[str, np.ndarray] = {}
+    for index in range(-options.lead_in, options.frames):
+        drawer.start(index)
+        images = {}
+        for each in runners:
+            if index >= 0 or each.temporal:
+                images[each.name] = each.run(index, drawer)
+        if index < 0:
+            step(f"lead-in frame {index}")
+            previous = images
+            continue
+        truth = reference.reference(
+            shot,
+            index,
+            options.reference_samples,
+            average=options.average,
+            progress=lambda: step(f"frame {index + 1} of {options.frames}"),
+        )
+        images[REFERENCE] = np.asarray(colors.display(truth.color))
+        _score(result, runners, images, previous, index, np.asarray(truth.thin), drawer)
+        previous = images
+    for each in runners:
+        result.stage_ms[each.name] = each.times
+    result.peak_memory_bytes = _peak_memory()
+    return result
+
+
+class Drawer:
+    """Draws each raster variant of a frame once, for all methods that read it."""
+
+    def __init__(self, shot: Sequence) -> None:
+        self.shot = shot
+        self.frame = 0
+        self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, float]] = {}
+
+    def start(self, frame: int) -> None:
+        self.frame = frame
+        self.drawn.clear()
+
+    def draw(
+        self,
+        config: raster.Config,
+        params: raster.Params,
+        jitter: np.ndarray | None,
+    ) -> tuple[RasterOutput, FrameInputs, float]:
+        """Returns the raster output, its inputs and its time in ms."""
+        offset = (0.0, 0.0) if jitter is None else tuple(float(x) for x in jitter)
+        key = (config, float(params.mip_bias), offset)
+        if key not in self.drawn:
+            inputs = self.shot.inputs(self.frame, jitter)
+            world = self.shot.world
+            start = time.perf_counter()
+            out = raster.raster(
+                world.scene, inputs, params, tracer=world.tracer, config=config
+            )
+            jax.block_until_ready(out)
+            self.drawn[key] = (out, inputs, 1e3 * (time.perf_counter() - start))
+        return self.drawn[key]
+
+
+class Runner:
+    """One method over a sequence; `run` returns a frame as sRGB."""
+
+    temporal = False
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.times: dict[str, list[float]] = {}
+        self.shares: dict[str, float] = {}
+        self.method: np.ndarray | None = None
+        self.why: np.ndarray | None = None
+
+    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        raise NotImplementedError
+
+    def record(self, stage: str, milliseconds: float) -> None:
+        self.times.setdefault(stage, []).append(milliseconds)
+
+
+class _Plain(Runner):
+    """No AA, and full-screen FXAA: one sample at the pixel centre, hardware mips."""
+
+    def __init__(self, name: str, shot: Sequence, *, filtered: bool) -> None:
+        super().__init__(name)
+        config, params = pipeline.preset("ue4", shot.world.scene, shot.size)
+        self.config = config
+        self.params = params
+        self.filtered = filtered
+
+    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        out, _, ms = drawer.draw(self.config.raster, self.params.raster, None)
+        self.record("raster", ms)
+        image = colors.display(out.color)
+        if self.filtered:
+            start = time.perf_counter()
+            image = jax.block_until_ready(
+                fxaa.fxaa(image, self.params.fxaa, config=self.config.fxaa)
+            )
+            self.record("fxaa", 1e3 * (time.perf_counter() - start))
+            self.shares = {"fxaa_share": 1.0}
+        return np.asarray(image)
+
+
+class _Adaptive(Runner):
+    """TAA alone (no pixel is traced) or ATAA, by one preset."""
+
+    temporal = True
+
+    def __init__(
+        self,
+        name: str,
+        shot: Sequence,
+        options: Options,
+        *,
+        preset: str,
+        samples: int | None,
+    ) -> None:
+        super().__init__(name)
+        budget = options.budget if samples else 0.0
+        self.config, self.params = pipeline.preset(
+            preset, shot.world.scene, shot.size, samples=samples or 2, budget=budget
+        )
+        if options.params is not None and preset == "tuned":
+            self.params = pipeline.with_budget(options.params, budget)
+        if samples is None:
+            self.config = replace(self.config, adaptive=False)
+        self.samples = samples
+        self.state: State = pipeline.init(shot.size)
+        self.jitter = sampling.halton_jitter(
+            self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
+        )
+        self.first = -options.lead_in
+
+    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        phase = (frame - self.first) % len(self.jitter)
+        drawn, inputs, ms = drawer.draw(
+            self.config.raster, self.params.raster, self.jitter[phase]
+        )
+        self.record("raster", ms)
+        world = drawer.shot.world
+        clock = time.perf_counter()
+
+        def observe(stage: str, buffers: Any) -> Any:
+            nonlocal clock
+            jax.block_until_ready(buffers)
+            now = time.perf_counter()
+            self.record(stage, 1e3 * (now - clock))
+            clock = time.perf_counter()
+            return buffers
+
+        inputs = pipeline.with_cut(inputs, frame == self.first)
+        output, self.state = pipeline.antialias(
+            self.state,
+            drawn,
+            inputs,
+            self.params,
+            scene=world.scene,
+            tracer=world.tracer,
+            config=self.config,
+            observe=observe,
+        )
+        pixels = drawer.shot.size[0] * drawer.shot.size[1]
+        stats = output.statistics
+        ataa, new = int(stats.ataa_pixels), int(stats.fxaa_pixels)
+        self.shares = {
+            "fxaa_share": new / pixels,
+            "ataa_share": ataa / pixels,
+            "taa_share": 1.0 - (new + ataa) / pixels,
+            "rays_per_pixel": int(stats.primary_rays) / pixels,
+            "overflow_share": int(stats.overflow_pixels) / pixels,
+        }
+        method, _ = segmentation.unpack_mask(output.segmentation.mask)
+        if self.samples:
+            self.method = np.asarray(method).astype(np.uint8)
+            self.why = np.asarray(output.segmentation.why)
+        return np.asarray(output.image)
+
+
+class _Supersampled(Runner):
+    """N samples a pixel everywhere, in the Direct3D pattern, at mip level 0."""
+
+    def __init__(self, name: str, samples: int, average: colors.Average) -> None:
+        super().__init__(name)
+        self.offsets = sampling.pattern(samples)
+        self.average: colors.Average = average
+
+    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        shot = drawer.shot
+        inputs = shot.inputs(frame)
+        start = time.perf_counter()
+        out = reference.supersample(
+            shot.world, inputs, self.offsets, shot.size, average=self.average
+        )
+        jax.block_until_ready(out)
+        self.record("supersample", 1e3 * (time.perf_counter() - start))
+        self.shares = {"rays_per_pixel": float(len(self.offsets))}
+        return np.asarray(colors.display(out.color))
+
+
+def runner(name: str, shot: Sequence, options: Options) -> Runner:
+    """Returns what runs one method of `METHODS` over a sequence."""
+    if name in ("none", "fxaa"):
+        return _Plain(name, shot, filtered=name == "fxaa")
+    if name.startswith("ssaa"):
+        return _Supersampled(name, int(name.removeprefix("ssaa")), options.average)
+    kind, _, preset = name.partition("_")
+    samples = int(kind.removeprefix("ataa")) if kind.startswith("ataa") else None
+    return _Adaptive(
+        name, shot, options, preset=preset or "tuned", samples=samples
+    )
+
+
+def _score(
+    result: Comparison,
+    runners: list[Runner],
+    images: dict[str, np.ndarray],
+    previous: dict[str, np.ndarray],
+    frame: int,
+    thin: np.ndarray,
+    drawer: Drawer,
+) -> None:
+    """Scores one frame of every method, and the reference's own flicker."""
+    truth = images[REFERENCE]
+    config, params = pipeline.preset("ue4", drawer.shot.world.scene, result.size)
+    centred, _, _ = drawer.draw(config.raster, params.raster, None)
+    motion = np.asarray(centred.gbuffer.motion)
+    valid = np.asarray(centred.gbuffer.motion_valid)
+    shares = {each.name: each.shares for each in runners}
+    for name, image in images.items():
+        change = float("nan")
+        if name in previous:
+            change = metrics.flicker(image, previous[name], motion, valid)
+        result.scores.append(
+            Score(
+                method=name,
+                frame=frame,
+                ssim=metrics.ssim(image, truth),
+                psnr=metrics.psnr(image, truth),
+                flip=metrics.flip(image, truth),
+                flicker=change,
+                border_mse=metrics.border_error(image, truth),
+                thin_mse=metrics.mean_squared_error(image, truth, thin > 0),
+                **shares.get(name, {}),
+            )
+        )
+        result.images.setdefault(name, []).append(
+            np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+        )
+    for each in runners:
+        if each.method is not None and each.why is not None:
+            result.masks.setdefault(each.name, []).append(each.method)
+            result.whys.setdefault(each.name, []).append(each.why)
+
+
+def _peak_memory() -> int:
+    """Returns the process's peak resident memory in bytes, as the system tells it."""
+    info = psutil.Process().memory_info()
+    if hasattr(info, "peak_wset"):  # Windows
+        return int(info.peak_wset)
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -1,0 +1,432 @@
+"""One frame of Adaptive Temporal Antialiasing, and a sequence (paper, Figure 2).
+
+    raster → taa → segmentation → raytrace → resolve → fxaa → display
+
+`frame` is the whole; `antialias` is everything after raster and takes colour and
+G-buffer from whoever made them. Both are pure functions over `types.State`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ataa_jax import (
+    effects,
+    embree,
+    fxaa,
+    raster,
+    raytrace,
+    resolve,
+    sampling,
+    segmentation,
+    taa,
+)
+from ataa_jax import color as colors
+from ataa_jax.errors import InputError
+from ataa_jax.raster import RasterOutput
+from ataa_jax.types import (
+    METHOD_ATAA,
+    METHOD_FXAA,
+    METHOD_TAA,
+    Classification,
+    FrameInputs,
+    GBuffer,
+    History,
+    Scene,
+    Segmentation,
+    State,
+)
+from ataa_jax.world import Sequence
+
+_Buffer = TypeVar("_Buffer")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Nests the stages' own choices."""
+
+    # False: TAA alone, as engines run it: no mask, no rays, no FXAA, and the raw colour
+    # where there is no history.
+    adaptive: bool = True
+    raster: raster.Config = field(default_factory=raster.Config)
+    taa: taa.Config = field(default_factory=lambda: taa.PRESETS["tuned"][0])
+    segmentation: segmentation.Config = field(default_factory=segmentation.Config)
+    raytrace: raytrace.Config = field(default_factory=raytrace.Config)
+    fxaa: fxaa.Config = field(default_factory=fxaa.Config)
+
+
+class Params(eqx.Module):
+    """Nests the stages' own numbers."""
+
+    raster: raster.Params
+    taa: taa.Params
+    segmentation: segmentation.Params
+    resolve: resolve.Params
+    fxaa: fxaa.Params
+    budget: Float[Array, ""]  # sparse primary rays a pixel of the frame; inf: no cap
+
+
+class Statistics(eqx.Module):
+    """What one frame did, as counts of pixels and rays."""
+
+    fxaa_pixels: Int[Array, ""]
+    ataa_pixels: Int[Array, ""]
+    overflow_pixels: Int[Array, ""]  # asked for rays beyond the budget
+    primary_rays: Int[Array, ""]  # sparse ones, of the raytrace stage
+    shadow_rays: Int[Array, ""]  # of the raytrace stage
+    raster_shadow_rays: Int[Array, ""]
+
+
+class FrameOutput(eqx.Module):
+    """Every buffer of the paper's Figure 2, by name."""
+
+    image: Float[Array, "h w 3"]  # display-referred sRGB
+    raw: Float[Array, "h w 3"]  # raster colour, linear
+    gbuffer: GBuffer
+    taa: Float[Array, "h w 3"]  # linear
+    reprojected: Float[Array, "h w 3"]  # history before rectification, linear
+    segmentation: Segmentation
+    traced: Float[Array, "h w 3"]  # linear, 0 where not traced
+    composite: Float[Array, "h w 3"]  # linear: what the history stores
+    statistics: Statistics
+
+
+def init(size: tuple[int, int]) -> State:
+    """Returns the state before the first frame: no history at all."""
+    zeros = jnp.zeros(size, jnp.float32)
+    return State(
+        history=History(
+            color=jnp.zeros((*size, 3), jnp.float32),
+            depth=jnp.full(size, jnp.inf, jnp.float32),
+            motion=jnp.zeros((*size, 2), jnp.float32),
+            count=zeros,
+            valid=jnp.asarray(False),
+        ),
+        classification=Classification(mask=jnp.zeros(size, jnp.uint32)),
+    )
+
+
+def preset(
+    name: str,
+    scene: Scene,
+    size: tuple[int, int],
+    *,
+    samples: int = 8,
+    budget: float = float("inf"),
+) -> tuple[Config, Params]:
+    """Returns configuration and parameters for a scene.
+
+    Args:
+        name: TAA preset, "tuned" or "ue4".
+        scene: decides the effects that are compiled in.
+        size: image (height, width).
+        samples: rays a traced pixel: 2, 4 or 8.
+        budget: sparse primary rays a pixel of the frame, averaged over it.
+
+    Raises:
+        InputError: unknown preset, or values out of range.
+    """
+    if name not in taa.PRESETS:
+        raise InputError(
+            f"unknown preset '{name}'; known are {', '.join(sorted(taa.PRESETS))}"
+        )
+    if samples not in (2, 4, 8):
+        raise InputError(f"ATAA traces 2, 4 or 8 rays a pixel, not {samples}")
+    if not budget >= 0.0:
+        raise InputError(f"a ray budget must be at least 0 rays a pixel, not {budget}")
+    taa_config, taa_params = taa.PRESETS[name]
+    shading = effects.required(scene)
+    config = Config(
+        raster=raster.Config(size=size, shading=shading),
+        taa=taa_config,
+        raytrace=raytrace.Config(samples=samples, shading=shading),
+    )
+    params = Params(
+        raster=raster.default_params(MIP_BIAS[name]),
+        taa=taa_params,
+        segmentation=segmentation.default_params(),
+        resolve=resolve.default_params(),
+        fxaa=fxaa.default_params(),
+        budget=jnp.asarray(budget, jnp.float32),
+    )
+    return config, params
+
+
+# Texture mip bias that goes with each TAA preset; `experiments/tune_taa.py` found the
+# tuned one, UE4's material quality default leaves the level of detail alone.
+MIP_BIAS = {"tuned": -2.0, "ue4": 0.0}
+
+
+def _pass(name: str, buffer: _Buffer) -> _Buffer:
+    return buffer
+
+
+Observe = Callable[[str, Any], Any]
+
+
+def antialias(
+    state: State,
+    drawn: RasterOutput,
+    inputs: FrameInputs,
+    params: Params,
+    *,
+    scene: Scene,
+    tracer: embree.Tracer,
+    config: Config,
+    observe: Observe = _pass,
+) -> tuple[FrameOutput, State]:
+    """Everything after raster; not jitted as a whole, each stage is.
+
+    Args:
+        state: what the frame before left.
+        drawn: this frame's colour and G-buffer.
+        inputs: cameras, jitter, and whether the camera was cut.
+        params: numbers.
+        scene: what the sparse rays shade.
+        tracer: casts them.
+        config: choices.
+        observe: sees every stage's output under its name (to time it, say) and
+            returns it.
+
+    Returns:
+        All buffers, and the state for the next frame.
+    """
+    color, gbuffer = drawn.color, drawn.gbuffer
+    size = config.raster.size
+    state = eqx.tree_at(
+        lambda s: s.history.valid, state, state.history.valid & ~inputs.cut
+    )
+    with jax.named_scope("taa"):
+        blended = observe(
+            "taa",
+            taa.taa(
+                state.history, color, gbuffer, inputs.jitter, params.taa,
+                config=config.taa,
+            ),
+        )  # fmt: skip
+    if not config.adaptive:
+        return _temporal_only(drawn, blended, params)
+    with jax.named_scope("segmentation"):
+        segmented, overflow = observe(
+            "segmentation",
+            segmentation.segment(
+                state, color, gbuffer, blended.reprojected, params.segmentation,
+                _max_pixels(params.budget, size, config.raytrace.samples),
+                config=config.segmentation,
+            ),
+        )  # fmt: skip
+    method, _ = segmentation.unpack_mask(segmented.mask)
+    with jax.named_scope("raytrace"):
+        traced = observe(
+            "raytrace",
+            raytrace.raytrace(
+                scene, inputs, method == METHOD_ATAA,
+                tracer=tracer, config=config.raytrace,
+            ),
+        )  # fmt: skip
+    with jax.named_scope("resolve"):
+        resolved = observe(
+            "resolve",
+            resolve.resolve(
+                segmented, color, gbuffer, blended, traced.color, params.resolve
+            ),
+        )
+    with jax.named_scope("fxaa"):
+        image = observe(
+            "fxaa",
+            fxaa.fxaa_sparse(
+                colors.display(resolved.composite),
+                method == METHOD_FXAA,
+                params.fxaa,
+                config=config.fxaa,
+            ),
+        )
+    output = FrameOutput(
+        image=image,
+        raw=color,
+        gbuffer=gbuffer,
+        taa=blended.color,
+        reprojected=blended.reprojected,
+        segmentation=segmented,
+        traced=traced.color,
+        composite=resolved.composite,
+        statistics=Statistics(
+            fxaa_pixels=jnp.sum(method == METHOD_FXAA, dtype=jnp.int32),
+            ataa_pixels=jnp.sum(method == METHOD_ATAA, dtype=jnp.int32),
+            overflow_pixels=overflow,
+            primary_rays=traced.primary_rays,
+            shadow_rays=traced.shadow_rays,
+            raster_shadow_rays=drawn.shadow_rays,
+        ),
+    )
+    return output, State(
+        history=resolved.history, classification=resolved.classification
+    )
+
+
+def _temporal_only(
+    drawn: RasterOutput, blended: taa.TaaOutput, params: Params
+) -> tuple[FrameOutput, State]:
+    """The rest of a frame of plain TAA: every pixel keeps what the TAA stage gave."""
+    size = drawn.gbuffer.depth.shape
+    zero = jnp.zeros((), jnp.int32)
+    nothing = jnp.zeros(size, jnp.float32)
+    segmented = Segmentation(
+        mask=segmentation.pack_mask(
+            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
+        ),
+        why=jnp.zeros(size, jnp.uint8),
+        score=nothing,
+        luminance=nothing,
+        depth=nothing,
+    )
+    black = jnp.zeros((*size, 3), jnp.float32)
+    resolved = resolve.resolve(
+        segmented, drawn.color, drawn.gbuffer, blended, black, params.resolve
+    )
+    output = FrameOutput(
+        image=colors.display(resolved.composite),
+        raw=drawn.color,
+        gbuffer=drawn.gbuffer,
+        taa=blended.color,
+        reprojected=blended.reprojected,
+        segmentation=segmented,
+        traced=black,
+        composite=resolved.composite,
+        statistics=Statistics(
+            fxaa_pixels=zero,
+            ataa_pixels=zero,
+            overflow_pixels=zero,
+            primary_rays=zero,
+            shadow_rays=zero,
+            raster_shadow_rays=drawn.shadow_rays,
+        ),
+    )
+    return output, State(
+        history=resolved.history, classification=resolved.classification
+    )
+
+
+def stages(
+    state: State,
+    inputs: FrameInputs,
+    params: Params,
+    *,
+    scene: Scene,
+    tracer: embree.Tracer,
+    config: Config,
+    observe: Observe = _pass,
+) -> tuple[FrameOutput, State]:
+    """One frame, stage by stage: the same as `frame`, open to an observer."""
+    with jax.named_scope("raster"):
+        drawn = observe(
+            "raster",
+            raster.raster(
+                scene, inputs, params.raster, tracer=tracer, config=config.raster
+            ),
+        )
+    return antialias(
+        state, drawn, inputs, params,
+        scene=scene, tracer=tracer, config=config, observe=observe,
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnames=("tracer", "config"))
+def frame(
+    state: State,
+    inputs: FrameInputs,
+    params: Params,
+    *,
+    scene: Scene,
+    tracer: embree.Tracer,
+    config: Config,
+) -> tuple[FrameOutput, State]:
+    """Renders one frame: scene and camera in, antialiased image and all buffers out.
+
+    Args:
+        state: what the frame before left; `init(size)` before the first.
+        inputs: cameras, transforms and jitter.
+        params: numbers; changing them does not compile anew.
+        scene: geometry, materials, lights.
+        tracer: Embree's copy of the scene.
+        config: choices that change the program.
+
+    Returns:
+        All buffers, and the state for the next frame.
+    """
+    return stages(state, inputs, params, scene=scene, tracer=tracer, config=config)
+
+
+def sequence(
+    shot: Sequence,
+    params: Params,
+    *,
+    config: Config,
+    frames: int,
+    state: State | None = None,
+) -> Iterator[tuple[FrameOutput, State]]:
+    """Folds `frame` over a camera path.
+
+    Args:
+        shot: the world along a path.
+        params: numbers.
+        config: choices; its size must be the shot's.
+        frames: how many.
+        state: to go on from; None starts anew.
+
+    Yields:
+        Output and state of each frame.
+    """
+    world = shot.world
+    state = init(config.raster.size) if state is None else state
+    jitter = sampling.halton_jitter(
+        config.taa.jitter_length, centred=config.taa.jitter_centred
+    )
+    for index in range(frames):
+        output, state = frame(
+            state,
+            shot.inputs(index, jitter[index % len(jitter)]),
+            params,
+            scene=world.scene,
+            tracer=world.tracer,
+            config=config,
+        )
+        yield output, state
+
+
+def with_budget(params: Params, budget: float) -> Params:
+    """Returns the parameters under another ray budget, rays a pixel of the frame."""
+    return eqx.tree_at(
+        lambda p: p.budget, params, jnp.asarray(budget, params.budget.dtype)
+    )
+
+
+def with_cut(inputs: FrameInputs, cut: bool) -> FrameInputs:
+    """Returns the inputs with the camera-cut flag set or cleared."""
+    return eqx.tree_at(lambda i: i.cut, inputs, jnp.asarray(cut))
+
+
+def with_size(config: Config, size: tuple[int, int]) -> Config:
+    """Returns the configuration for another image size."""
+    return replace(config, raster=replace(config.raster, size=size))
+
+
+def _max_pixels(
+    budget: Float[Array, ""], size: tuple[int, int], samples: int
+) -> Int[Array, ""]:
+    """Returns how many pixels the ray budget pays for."""
+    pixels = size[0] * size[1]
+    affordable = jnp.floor(budget * (pixels / samples))
+    return jnp.clip(affordable, 0.0, float(pixels)).astype(jnp.int32)
+
+
+def to_numpy(tree: Any) -> Any:
+    """Copies a pytree of arrays to NumPy."""
+    return jax.tree.map(np.asarray, tree)

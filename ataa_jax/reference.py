@@ -1,0 +1,238 @@
+"""Supersampled images: SSAA baselines and the N-sample ground truth, cached on disk.
+
+Every pixel is the box-filtered mean of N samples at mip level 0, averaged in the
+averaging space that all methods share. The reference's samples are one fixed
+low-discrepancy set (`sampling.reference_pattern`).
+"""
+
+import hashlib
+import inspect
+import os
+import re
+import tempfile
+import zipfile
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import platformdirs
+from jaxtyping import Array, Bool, Float
+
+from ataa_jax import (
+    camera,
+    effects,
+    embree,
+    raster,
+    sampling,
+    shading,
+    surface,
+    texture,
+    vector,
+)
+from ataa_jax import color as colors
+from ataa_jax.scene import SceneSource
+from ataa_jax.types import FrameInputs, Scene
+from ataa_jax.world import Sequence, World
+
+# our choice: about 1,500 reference frames of 640×360; the oldest go first.
+CACHE_LIMIT_BYTES = 4 << 30
+
+_THIN = re.compile(
+    r"wire|rope|cable|rigging|slat|fence|rail|leaf|leaves|plant|bamboo|blind|orchid"
+    r"|ivy|chain|grass|foliage|antenna",
+    re.IGNORECASE,
+)
+
+
+class Supersampled(eqx.Module):
+    """The mean of a pixel's samples, and the share of them that met thin features."""
+
+    color: Float[Array, "h w 3"]  # linear radiance
+    thin: Float[Array, "h w"]  # in [0, 1]
+
+
+def thin_objects(source: SceneSource) -> np.ndarray:
+    """Returns which objects are wires, ropes, slats, rails or leaves, bool (objects,).
+
+    Told from names of meshes and materials, and from alpha masks (leaves, chains).
+    """
+
+    def thin(name: str, material: int) -> bool:
+        m = source.materials[material]
+        return m.alpha_mode == "MASK" or bool(_THIN.search(f"{name} {m.name}"))
+
+    return np.array([thin(mesh.name, mesh.material) for mesh in source.meshes], bool)
+
+
+def supersample(
+    world: World,
+    inputs: FrameInputs,
+    offsets_px: np.ndarray,
+    size: tuple[int, int],
+    *,
+    average: colors.Average = "tonemap",
+    progress: Callable[[], None] = lambda: None,
+) -> Supersampled:
+    """Renders one frame with several samples a pixel, one full-screen pass each.
+
+    Args:
+        world: the scene.
+        inputs: camera and transforms; the jitter is not used.
+        offsets_px: float32 (samples, 2), px from the pixel centre.
+        size: image (height, width).
+        average: the space in which samples are averaged.
+        progress: called after every pass.
+
+    Returns:
+        Colour and thin coverage.
+    """
+    config = raster.Config(
+        size=size, mip_maps=False, shading=effects.required(world.scene)
+    )
+    thin = jnp.asarray(thin_objects(world.source))
+    total = jnp.zeros((*size, 3), jnp.float32), jnp.zeros(size, jnp.float32)
+    for offset in offsets_px:
+        total = _add_sample(
+            world.scene,
+            eqx.tree_at(lambda i: i.jitter, inputs, jnp.asarray(offset)),
+            thin,
+            total,
+            tracer=world.tracer,
+            config=config,
+            average=average,
+        )
+        progress()
+    scale = 1.0 / len(offsets_px)
+    color = colors.from_average(total[0] * scale, average)
+    return Supersampled(color=color, thin=total[1] * scale)
+
+
+@partial(jax.jit, static_argnames=("tracer", "config", "average"), donate_argnums=(3,))
+def _add_sample(
+    scene: Scene,
+    inputs: FrameInputs,
+    thin: Bool[Array, " objects"],
+    total: tuple[Float[Array, "h w 3"], Float[Array, "h w"]],
+    *,
+    tracer: embree.Tracer,
+    config: raster.Config,
+    average: colors.Average,
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"]]:
+    drawn = raster.raster(
+        scene, inputs, raster.default_params(), tracer=tracer, config=config
+    )
+    ids = drawn.gbuffer.object
+    crossed = (ids >= 0) & thin[jnp.maximum(ids, 0)]
+    color = total[0] + colors.to_average(drawn.color, average)
+    return color, total[1] + crossed.astype(jnp.float32)
+
+
+def reference(
+    shot: Sequence,
+    frame: int,
+    samples: int,
+    *,
+    average: colors.Average = "tonemap",
+    progress: Callable[[], None] = lambda: None,
+    use_cache: bool = True,
+) -> Supersampled:
+    """Returns the ground truth of one frame, from the cache where it has it.
+
+    Args:
+        shot: the world along a path.
+        frame: index of the frame.
+        samples: N; 64 for fitting and tests, 256 for published tables.
+        average: the space in which samples are averaged.
+        progress: called `samples` times.
+        use_cache: read and write the cache folder.
+    """
+    inputs = shot.inputs(frame)
+    key = _content_key(shot.world, inputs, shot.size, samples, average)
+    file = cache_folder() / "reference" / f"{key}.npz"
+    if use_cache and (found := _read(file, shot.size)) is not None:
+        for _ in range(samples):
+            progress()
+        return found
+    result = supersample(
+        shot.world,
+        inputs,
+        sampling.reference_pattern(samples),
+        shot.size,
+        average=average,
+        progress=progress,
+    )
+    if use_cache:
+        _write(file, result)
+    return result
+
+
+def cache_folder() -> Path:
+    """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
+    return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
+
+
+@cache
+def _code_hash() -> str:
+    """Hashes the sources that decide an image, so that an old cache is never believed."""
+    digest = hashlib.blake2b(digest_size=16)
+    for module in (camera, embree, raster, sampling, shading, surface, texture, vector):
+        file = Path(inspect.getfile(module))
+        parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
+        for part in parts:
+            digest.update(part.read_bytes())
+    return digest.hexdigest()
+
+
+def _content_key(
+    world: World,
+    inputs: FrameInputs,
+    size: tuple[int, int],
+    samples: int,
+    average: str,
+) -> str:
+    digest = hashlib.blake2b(digest_size=20)
+    digest.update(f"{_code_hash()} {size} {samples} {average}".encode())
+    digest.update(world.content_hash.encode())
+    for array in jax.tree.leaves((inputs.camera, inputs.world_from_group)):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _read(file: Path, size: tuple[int, int]) -> Supersampled | None:
+    """Returns a cached image, or None where there is none or it is damaged."""
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            color, thin = data["color"], data["thin"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    if color.shape != (*size, 3) or thin.shape != size or color.dtype != np.float32:
+        return None
+    return Supersampled(color=jnp.asarray(color), thin=jnp.asarray(thin, jnp.float32))
+
+
+def _write(file: Path, result: Supersampled) -> None:
+    """Writes atomically; a cache that cannot be written is no error."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+        with os.fdopen(handle, "wb") as stream:
+            np.savez(
+                stream, color=np.asarray(result.color), thin=np.asarray(result.thin)
+            )
+        Path(name).replace(file)
+        _prune(file.parent)
+    except OSError:
+        return
+
+
+def _prune(folder: Path) -> None:
+    files = sorted(folder.glob("*.npz"), key=lambda f: f.stat().st_mtime)
+    total = sum(f.stat().st_size for f in files)
+    while files and total > CACHE_LIMIT_BYTES:
+        oldest = files.pop(0)
+        total -= oldest.stat().st_size
+        oldest.unlink(missing_ok=True)

@@ -1,0 +1,253 @@
+"""A scene made ready to render: packed arrays, tracer, lights, cameras, exposure."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ataa_jax import (
+    builtin,
+    effects,
+    embree,
+    gltf,
+    lighting,
+    paths,
+    raster,
+    scene,
+    types,
+)
+from ataa_jax import camera as cameras
+from ataa_jax.errors import InputError
+
+BUILTIN = "builtin"
+
+# our choice: the mean of log luminance lands at 0.35, which x/(1 + x) and sRGB show as
+# a middle grey of 0.55.
+_EXPOSURE_KEY = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Everything that stays the same over a sequence.
+
+    Lights, sky and emission of `scene` are already multiplied by `exposure`, as engines
+    pre-expose: radiance anywhere in the package is exposed radiance.
+    """
+
+    name: str
+    source: scene.SceneSource
+    scene: types.Scene
+    tracer: embree.Tracer
+    cameras: list[scene.CameraSource]  # at least one
+    lights: list[scene.LightSource]  # as supplied or authored, before exposure
+    exposure: float
+    notes: list[str]  # warnings of the reader, and what was supplied
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Hashes every array that decides an image of this world."""
+        digest = hashlib.blake2b(digest_size=20)
+        for array in jax.tree.leaves(self.scene):
+            digest.update(f"{array.shape} {array.dtype}".encode())
+            digest.update(np.ascontiguousarray(array).view(np.uint8).data)
+        return digest.hexdigest()
+
+    def camera(self, name: str | None) -> scene.CameraSource:
+        """Returns a camera by name, or the first.
+
+        Raises:
+            InputError: no camera has this name.
+        """
+        if name is None:
+            return self.cameras[0]
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        known = ", ".join(camera.name for camera in self.cameras)
+        raise InputError(f"the scene has no camera '{name}'; it has: {known}")
+
+    def focus(self, camera: scene.CameraSource) -> float:
+        """Returns the distance to what the middle of a camera's image shows."""
+        points = lighting.look(
+            self.tracer, self.scene, self.source.transforms(0.0), camera
+        )
+        return lighting.focus_distance(points, fallback=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """A world seen along a path: `inputs(i)` gives the operands of frame i."""
+
+    world: World
+    path: paths.CameraPath
+    size: tuple[int, int]
+    camera: scene.CameraSource
+    focus: float
+
+    def pose(self, frame: int) -> paths.Pose:
+        """Returns where the camera stands in a frame."""
+        aspect = self.size[1] / self.size[0]
+        return paths.pose(self.path, self.camera, self.focus, aspect, frame)
+
+    def inputs(self, frame: int, jitter: np.ndarray | None = None) -> types.FrameInputs:
+        """Returns the operands of a frame; no jitter means the pixel centre."""
+        now, then = self.pose(frame), self.pose(frame - 1)
+        if self.path.kind == "still" and self.world.source.duration == 0.0:
+            then = now
+        transforms = self.world.source.transforms
+        offset = np.zeros(2, np.float32) if jitter is None else jitter
+        return types.FrameInputs(
+            camera=cameras.make(now.world_from_view, now.fov_y),
+            previous_camera=cameras.make(then.world_from_view, then.fov_y),
+            world_from_group=jnp.asarray(transforms(now.time), jnp.float32),
+            previous_world_from_group=jnp.asarray(transforms(then.time), jnp.float32),
+            jitter=jnp.asarray(offset, jnp.float32),
+            cut=jnp.asarray(frame == 0),
+        )
+
+
+def sequence(
+    world: World, path: paths.CameraPath, size: tuple[int, int]
+) -> Sequence:
+    """Binds a world to a camera path and an image size (height, width).
+
+    Raises:
+        InputError: the path names a camera that the scene lacks.
+    """
+    camera = world.camera(path.camera)
+    return Sequence(world, path, size, camera, world.focus(camera))
+
+
+def load(
+    path: str | Path, *, camera: str | None = None, backend: str = "auto"
+) -> World:
+    """Loads a scene file, or the built-in scene by the name `builtin`.
+
+    Args:
+        path: ``builtin``, a ``.glb`` or ``.gltf``, or any mesh that trimesh reads.
+        camera: the camera for which light and exposure are decided; the first by
+            default.
+        backend: Embree's entry points, see `embree.build`.
+
+    Returns:
+        The world, with light, sky, camera and exposure supplied where it has none.
+
+    Raises:
+        InputError: the file is missing, malformed or asks for what is not supported.
+    """
+    if str(path) == BUILTIN:
+        source = builtin.garden_house()
+    elif Path(path).suffix.lower() in (".glb", ".gltf"):
+        source = gltf.load(path)
+    else:
+        source = scene.load_mesh(path)
+    return prepare(source, camera=camera, backend=backend)
+
+
+def prepare(
+    source: scene.SceneSource, *, camera: str | None = None, backend: str = "auto"
+) -> World:
+    """Turns a scene description into a world; see `load`."""
+    packed, notes = scene.pack(source)
+    notes = [*source.warnings, *notes]
+    tracer = embree.build(packed, backend=backend)
+    all_cameras = source.cameras
+    if not all_cameras:
+        all_cameras = [lighting.framing_camera(source)]
+        notes.append("no camera in the scene: one that frames it was supplied")
+    transforms = source.transforms(0.0)
+    world = World(
+        name=source.name,
+        source=source,
+        scene=packed,
+        tracer=tracer,
+        cameras=all_cameras,
+        lights=[],
+        exposure=1.0,
+        notes=notes,
+    )
+    chosen = world.camera(camera)
+    points = lighting.look(tracer, packed, transforms, chosen)
+    lights, sky, supplied = lighting.supply(source, tracer, transforms, points, chosen)
+    visibility = lighting.sky_visibility(tracer, transforms, points)
+    supplied.append(
+        f"the sky's ambient light is scaled by {visibility:.2f}, the share of it that "
+        "visible surfaces see"
+    )
+    packed = replace_lights(
+        packed, scene.pack_lights(lights), scene.pack_sky(sky, visibility)
+    )
+    exposure = _auto_exposure(packed, tracer, transforms, chosen)
+    return replace(
+        world,
+        scene=_exposed(packed, exposure),
+        lights=lights,
+        exposure=exposure,
+        notes=[*notes, *supplied],
+    )
+
+
+def replace_lights(
+    packed: types.Scene, lights: types.Lights, sky: types.Sky
+) -> types.Scene:
+    """Returns the scene under other lights."""
+    return types.Scene(
+        geometry=packed.geometry,
+        materials=packed.materials,
+        textures=packed.textures,
+        lights=lights,
+        sky=sky,
+    )
+
+
+def _exposed(packed: types.Scene, exposure: float) -> types.Scene:
+    """Multiplies everything that emits by the exposure."""
+    def parts(s: types.Scene) -> tuple:
+        sky = s.sky
+        return (
+            s.lights.intensity,
+            sky.zenith,
+            sky.horizon,
+            sky.ground,
+            s.materials.emissive,
+        )
+
+    return eqx.tree_at(parts, packed, tuple(part * exposure for part in parts(packed)))
+
+
+def _auto_exposure(
+    packed: types.Scene,
+    tracer: embree.Tracer,
+    transforms: np.ndarray,
+    camera: scene.CameraSource,
+) -> float:
+    """Exposes a 160×90 view so that the mean log luminance lands on the key."""
+    view = cameras.make(camera.world_from_view, camera.fov_y)
+    groups = jnp.asarray(transforms, jnp.float32)
+    inputs = types.FrameInputs(
+        camera=view,
+        previous_camera=view,
+        world_from_group=groups,
+        previous_world_from_group=groups,
+        jitter=jnp.zeros(2, jnp.float32),
+        cut=jnp.asarray(True),
+    )
+    config = raster.Config(size=(90, 160), shading=effects.required(packed))
+    out = raster.raster(
+        packed, inputs, raster.default_params(), tracer=tracer, config=config
+    )
+    color = np.asarray(out.color, np.float64)
+    luminance = color @ np.array([0.2126, 0.7152, 0.0722])
+    hit = np.isfinite(np.asarray(out.gbuffer.depth))
+    seen = luminance[hit] if hit.any() else luminance.reshape(-1)
+    peak = float(seen.max(initial=0.0))
+    if not np.isfinite(peak) or peak <= 0.0:
+        return 1.0
+    # Floor at a thousandth of the mean: black corners must not open the aperture.
+    floor = max(float(seen.mean()) * 1e-3, 1e-30)
+    return float(_EXPOSURE_KEY / np.exp(np.mean(np.log(np.maximum(seen, floor)))))
