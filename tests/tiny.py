@@ -1,6 +1,6 @@
 """Tiny scenes, built array by array, whose hits can be worked out by hand."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
@@ -71,10 +71,7 @@ def scene(
     counts = [len(part.position) for part in parts]
     position = _join([part.position for part in parts], (0, 3, 3))
     uv = _join(
-        [
-            np.zeros((len(p.position), 3, 2)) if p.uv is None else p.uv
-            for p in parts
-        ],
+        [np.zeros((len(p.position), 3, 2)) if p.uv is None else p.uv for p in parts],
         (0, 3, 2),
     )
     return types.Scene(
@@ -89,10 +86,12 @@ def scene(
         materials=_materials(materials),
         textures=_textures(textures or []),
         lights=_lights(lights if lights is not None else [Light()]),
-        sky=types.Sky(**{
-            name: jnp.asarray(value, jnp.float32)
-            for name, value in vars(sky or Sky()).items()
-        }),
+        sky=types.Sky(
+            **{
+                name: jnp.asarray(value, jnp.float32)
+                for name, value in vars(sky or Sky()).items()
+            }
+        ),
     )
 
 

@@ -65,9 +65,16 @@ class RunBackend:
         def work(chunk: int) -> None:
             mine = rays[chunk * _CHUNK : (chunk + 1) * _CHUNK]
             far = np.full(mine.size, np.inf, np.float32)
-            distance[mine], triangle[mine], barycentric[mine] = self._nearest(
-                world_from_group, origin[mine], direction[mine], far
-            )
+            hits = self._nearest(world_from_group, origin[mine], direction[mine], far)
+            distance[mine], triangle[mine], barycentric[mine] = hits
+            again = mine[hits[1] < 0]
+            if again.size:
+                largest = np.abs(direction[again]).max(axis=-1, keepdims=True)
+                turned = direction[again] + largest * kernels.NUDGE
+                hits = self._nearest(
+                    world_from_group, origin[again], turned, far[: again.size]
+                )
+                distance[again], triangle[again], barycentric[again] = hits
 
         workers.for_each(-(-rays.size // _CHUNK), work)
         return distance, triangle, barycentric
@@ -142,14 +149,8 @@ class RunBackend:
         scene = self._scenes[group]
         assert scene is not None
         for _ in range(_LAYERS):
-            # Rounded up, so that rounding alone never puts a hit out of reach.
-            reach = np.where(
-                passed > 0,
-                np.nextafter((far[rays] - passed).astype(np.float32), np.float32("inf")),
-                far[rays],
-            )
             heading = direction[rays]
-            hit = scene.run(start, heading, dists=reach.astype(np.float32), output=1)
+            hit = scene.run(start, heading, dists=far[rays].copy(), output=1)
             primitive, u, v = hit["primID"], hit["u"], hit["v"]
             total = (passed + hit["tfar"]).astype(np.float32)
             some = (primitive >= 0) & (total <= far[rays])

@@ -12,8 +12,8 @@ import ctypes
 import functools
 import weakref
 
+import embreex.rtcore_scene
 import numpy as np
-from embreex import rtcore_scene as extension  # pyright: ignore[reportAttributeAccessIssue]
 
 TRIANGLES = 0  # RTC_GEOMETRY_TYPE_TRIANGLE
 INSTANCE = 121  # RTC_GEOMETRY_TYPE_INSTANCE
@@ -70,7 +70,7 @@ _ERRORS = {
 def load() -> ctypes.CDLL | None:
     """Opens the library and types its functions; None where a symbol is missing."""
     try:
-        library = ctypes.CDLL(extension.__file__)
+        library = ctypes.CDLL(embreex.rtcore_scene.__file__)
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(library, name)
             function.restype = result
@@ -123,7 +123,7 @@ class Device:
         scene: "EmbreeHandle",
         geometry_id: int,
         position: np.ndarray,
-        mask: tuple[int, int, int] | None,
+        mask: tuple[int, int] | None,
     ) -> None:
         """Adds unindexed triangles to a scene that is not committed yet.
 
@@ -131,8 +131,8 @@ class Device:
             scene: Their scene; it keeps the buffers alive.
             geometry_id: The id that hits will report.
             position: float32 (t, 3, 3), corners in the scene's space.
-            mask: Addresses of the intersect filter, of the occluded filter and of the
-                data they read; None where every hit is solid.
+            mask: Addresses of the filter function, for both kinds of rays, and of the
+                data it reads; None where every hit is solid.
         """
         count = position.shape[0]
         # Embree loads vertices by 16 bytes: one float more than the last one has.
@@ -151,8 +151,8 @@ class Device:
             )
         if mask is not None:
             library.rtcSetGeometryIntersectFilterFunction(geometry, mask[0])
-            library.rtcSetGeometryOccludedFilterFunction(geometry, mask[1])
-            library.rtcSetGeometryUserData(geometry, mask[2])
+            library.rtcSetGeometryOccludedFilterFunction(geometry, mask[0])
+            library.rtcSetGeometryUserData(geometry, mask[1])
         self._attach(scene, geometry, geometry_id, f"{count} triangles")
 
     def attach_instance(
@@ -194,9 +194,9 @@ class EmbreeHandle:
         self.handle = handle
         self.keep: list[np.ndarray] = []
         release = device.library.rtcReleaseScene
-        weakref.finalize(self, _release_scene, release, handle, self.keep).atexit = (
-            False
-        )
+        weakref.finalize(
+            self, _release_scene, release, handle, self.keep
+        ).atexit = False
 
 
 def _release_scene(release: object, handle: int, keep: list[np.ndarray]) -> None:

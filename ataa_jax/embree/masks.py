@@ -14,11 +14,13 @@ reads texel 0. The rule never depends on distance or on mip levels, so that a sh
 ray and a camera ray see the same hole.
 """
 
-from typing import NamedTuple
+# ruff: noqa: ANN001, ANN201, ANN202 (numba infers types; comments say the shapes)
+
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from numba import carray, types as nb
+from numba import types as nb
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -26,6 +28,9 @@ from ataa_jax import types
 
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
+
+# As in `kernels`: `no_type_check` keeps the test suite's import hook away.
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 class MaskTable(NamedTuple):
@@ -97,8 +102,9 @@ def table(scene: types.Scene, triangles: np.ndarray) -> MaskTable:
     return MaskTable(corner, np.ascontiguousarray(texture), image, texels_8bit)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _wrap(index, size, mode):  # noqa: ANN001, ANN202 (numba infers the types)
+@_compiled
+@no_type_check
+def _wrap(index, size, mode):
     if mode == types.WRAP_CLAMP:
         return min(max(index, 0), size - 1)
     if mode == types.WRAP_MIRROR:
@@ -107,8 +113,9 @@ def _wrap(index, size, mode):  # noqa: ANN001, ANN202 (numba infers the types)
     return index % size
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def solid(corner, texture, image, alpha, row, b1, b2):  # noqa: ANN001, ANN202
+@_compiled
+@no_type_check
+def solid(corner, texture, image, alpha, row, b1, b2):
     """Returns whether a hit on masked triangle `row` is solid (module docstring)."""
     texel = _ONE
     k = texture[row]
@@ -138,8 +145,9 @@ def solid(corner, texture, image, alpha, row, b1, b2):  # noqa: ANN001, ANN202
     return texel * corner[row, 6] >= corner[row, 7]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def solid_many(corner, texture, image, alpha, row, b1, b2):  # noqa: ANN001, ANN202
+@_compiled
+@no_type_check
+def solid_many(corner, texture, image, alpha, row, b1, b2):
     """Returns `solid` for a batch of hits: row int (n,), b1 and b2 float32 (n,)."""
     answer = np.empty(row.size, np.bool_)
     for i in range(row.size):
@@ -148,10 +156,11 @@ def solid_many(corner, texture, image, alpha, row, b1, b2):  # noqa: ANN001, ANN
 
 
 @intrinsic
-def _pointer(typing_context, address):  # noqa: ANN001, ANN202, ARG001
+@no_type_check
+def _pointer(typing_context, address):
     """Turns an int64 into a pointer that `carray` takes."""
 
-    def codegen(context, builder, signature, arguments):  # noqa: ANN001, ANN202, ARG001
+    def codegen(context, builder, signature, arguments):
         return builder.inttoptr(arguments[0], cgutils.voidptr_t)
 
     return nb.voidptr(address), codegen
@@ -164,20 +173,21 @@ _HIT_U, _HIT_V, _HIT_PRIMITIVE = 3, 4, 5  # rows of RTCHitN
 
 
 @numba.cfunc(nb.void(nb.int64), cache=True, error_model="numpy")
-def _reject_holes(arguments):  # noqa: ANN001, ANN202
+@no_type_check
+def _reject_holes(arguments):
     """Embree's filter of candidate hits: holes are marked invalid, so it goes on."""
-    words = carray(_pointer(arguments), 6, np.int64)
-    count = int(carray(_pointer(arguments + 8 * _WORD_COUNT), 1, np.int32)[0])
-    valid = carray(_pointer(words[_WORD_VALID]), count, np.int32)
-    hit = carray(_pointer(words[_WORD_HITS]), (6, count), np.float32)
-    primitive = carray(
+    words = numba.carray(_pointer(arguments), 6, np.int64)
+    count = int(numba.carray(_pointer(arguments + 8 * _WORD_COUNT), 1, np.int32)[0])
+    valid = numba.carray(_pointer(words[_WORD_VALID]), count, np.int32)
+    hit = numba.carray(_pointer(words[_WORD_HITS]), (6, count), np.float32)
+    primitive = numba.carray(
         _pointer(words[_WORD_HITS] + 4 * _HIT_PRIMITIVE * count), count, np.int32
     )
-    data = carray(_pointer(words[_WORD_DATA]), 8, np.int64)
-    corner = carray(_pointer(data[0]), (data[4], 8), np.float32)
-    texture = carray(_pointer(data[1]), data[4], np.int32)
-    image = carray(_pointer(data[2]), (data[5], 5), np.int64)
-    alpha = carray(_pointer(data[3]), data[6], np.uint8)
+    data = numba.carray(_pointer(words[_WORD_DATA]), 8, np.int64)
+    corner = numba.carray(_pointer(data[0]), (data[4], 8), np.float32)
+    texture = numba.carray(_pointer(data[1]), data[4], np.int32)
+    image = numba.carray(_pointer(data[2]), (data[5], 5), np.int64)
+    alpha = numba.carray(_pointer(data[3]), data[6], np.uint8)
     for lane in range(count):
         if valid[lane] != 0 and not solid(
             corner,
@@ -193,7 +203,9 @@ def _reject_holes(arguments):  # noqa: ANN001, ANN202
 
 def filter_address() -> int:
     """Returns the address of the filter function, for both kinds of rays."""
-    return _reject_holes.address
+    address = _reject_holes.address
+    assert address is not None
+    return address
 
 
 def filter_data(mask: MaskTable, first: int, last: int) -> np.ndarray:

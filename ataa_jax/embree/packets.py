@@ -52,7 +52,7 @@ class PacketBackend:
                     group,
                     1,
                     position[masked],
-                    (*[masks.filter_address()] * 2, data.ctypes.data),
+                    (masks.filter_address(), data.ctypes.data),
                 )
                 row += masked.size
             self._device.commit(group)
