@@ -26,7 +26,7 @@ class RunBackend:
 
     def __init__(self, scene: types.Scene, split: masks.Split) -> None:
         position = np.asarray(scene.geometry.position, np.float32)
-        self._mask = masks.table(scene, np.concatenate(split.masked))
+        self._mask = split.mask
         self._scenes: list[EmbreeScene | None] = []
         self._ids: list[np.ndarray] = []  # per group: opaque ids, then masked
         self._opaque: list[int] = []  # per group: how many of them are opaque

@@ -36,7 +36,6 @@ class PacketBackend:
         self._base = np.cumsum(sizes) - sizes
         self._ids = np.concatenate([*geometries, np.full(1, -1, np.int32)])
 
-        mask = masks.table(scene, np.concatenate(split.masked))
         position = np.asarray(scene.geometry.position, np.float32)
         self._groups: list[library.EmbreeHandle] = []
         self._occupied: list[bool] = []
@@ -46,8 +45,8 @@ class PacketBackend:
             if opaque.size:
                 self._device.attach_triangles(group, 0, position[opaque], None)
             if masked.size:
-                data = masks.filter_data(mask, row, row + masked.size)
-                group.keep += [*mask, data]
+                data = masks.filter_data(split.mask, row, row + masked.size)
+                group.keep += [*split.mask, data]
                 self._device.attach_triangles(
                     group,
                     1,
