@@ -1,6 +1,6 @@
 """A pinhole camera: rays through pixel positions, and projection back to pixels.
 
-Symbols: ``xy_px`` is a position in the image (x right, y down, pixel centres at +0.5);
+Symbols: ``x_px, y_px`` is a position in the image (x right, y down, pixel centres at +0.5);
 a ray's direction has view-space z = −1, so the distance along it *is* linear depth.
 """
 
@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ataa_jax import vector
 from ataa_jax.types import Camera
+from ataa_jax.vector import Vec3
 
 # Below this share of the pixel cone a point counts as behind the camera: with w this
 # small the projected position is beyond ±2^20 px and says nothing.
@@ -47,42 +49,48 @@ def pixel_size(camera: Camera, height: int) -> Float[Array, ""]:
     return 2.0 * camera.tan_half_fov_y / height
 
 
-def pixel_centres(size: tuple[int, int]) -> Float[Array, "n 2"]:
-    """Returns xy_px of every pixel's centre, row-major."""
+def pixel_centres(
+    size: tuple[int, int],
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Returns x_px and y_px of every pixel's centre, row-major."""
     height, width = size
-    x = jnp.broadcast_to(jnp.arange(width, dtype=jnp.float32) + 0.5, size)
+    x = jnp.broadcast_to(jnp.arange(width, dtype=jnp.float32)[None, :] + 0.5, size)
     y = jnp.broadcast_to(jnp.arange(height, dtype=jnp.float32)[:, None] + 0.5, size)
-    return jnp.stack([x.reshape(-1), y.reshape(-1)], axis=-1)
+    return x.reshape(-1), y.reshape(-1)
 
 
 def directions(
-    camera: Camera, size: tuple[int, int], xy_px: Float[Array, "n 2"]
-) -> Float[Array, "n 3"]:
+    camera: Camera,
+    size: tuple[int, int],
+    x_px: Float[Array, " n"],
+    y_px: Float[Array, " n"],
+) -> Vec3:
     """Returns world directions through image positions, with view-space z = −1."""
     height, width = size
     step = pixel_size(camera, height)
-    x_view = (xy_px[:, 0] - width / 2.0) * step
-    y_view = (height / 2.0 - xy_px[:, 1]) * step
-    rotation = camera.world_from_view[:3, :3]
-    return (
-        x_view[:, None] * rotation[:, 0][None, :]
-        + y_view[:, None] * rotation[:, 1][None, :]
-        - rotation[:, 2][None, :]
-    )
+    right, up, back = _axes(camera)
+    return right * ((x_px - width / 2.0) * step) + up * (
+        (height / 2.0 - y_px) * step
+    ) - back  # fmt: skip
 
 
-def direction_steps(
-    camera: Camera, height: int
-) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+def direction_steps(camera: Camera, height: int) -> tuple[Vec3, Vec3]:
     """Returns how `directions` changes by one pixel to the right and one down."""
     step = pixel_size(camera, height)
-    rotation = camera.world_from_view[:3, :3]
-    return rotation[:, 0] * step, -rotation[:, 1] * step
+    right, up, _ = _axes(camera)
+    return right * step, up * -step
+
+
+def _axes(camera: Camera) -> tuple[Vec3, Vec3, Vec3]:
+    """Returns the view's right, up and back directions in the world."""
+    m = camera.world_from_view
+    right, up, back = (Vec3(m[0, k], m[1, k], m[2, k]) for k in range(3))
+    return right, up, back
 
 
 def project(
-    camera: Camera, size: tuple[int, int], offset_world: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
+    camera: Camera, size: tuple[int, int], offset_world: Vec3
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Bool[Array, " n"]]:
     """Projects points, given *relative to the camera's position*, or directions.
 
     Args:
@@ -91,22 +99,20 @@ def project(
         offset_world: point − camera position (a direction for points at infinity).
 
     Returns:
-        xy_px, finite everywhere, and a flag that the point lies in front of the
-        camera (where False, xy_px is meaningless).
+        x_px and y_px, finite everywhere, and a flag that the point lies in front of
+        the camera (where False, the position is meaningless).
     """
     height, width = size
-    rotation = camera.world_from_view[:3, :3]
-    view = jnp.sum(offset_world[:, :, None] * rotation[None, :, :], axis=1)
-    depth = -view[:, 2]
-    extent = jnp.max(jnp.abs(view[:, :2]), axis=-1)
+    right, up, back = _axes(camera)
+    x_view, y_view = vector.dot(offset_world, right), vector.dot(offset_world, up)
+    depth = -vector.dot(offset_world, back)
+    extent = jnp.maximum(jnp.abs(x_view), jnp.abs(y_view))
     in_front = depth > extent * _MIN_DEPTH_RATIO
-    step = pixel_size(camera, height)
-    scale = 1.0 / (jnp.where(in_front, depth, 1.0) * step)
-    x_px = width / 2.0 + view[:, 0] * scale
-    y_px = height / 2.0 - view[:, 1] * scale
-    return jnp.stack([x_px, y_px], axis=-1), in_front
+    scale = 1.0 / (jnp.where(in_front, depth, 1.0) * pixel_size(camera, height))
+    return width / 2.0 + x_view * scale, height / 2.0 - y_view * scale, in_front
 
 
-def position(camera: Camera) -> Float[Array, " 3"]:
+def position(camera: Camera) -> Vec3:
     """Returns the camera's position in the world."""
-    return camera.world_from_view[:3, 3]
+    m = camera.world_from_view
+    return Vec3(m[0, 3], m[1, 3], m[2, 3])

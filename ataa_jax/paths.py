@@ -204,7 +204,7 @@ def _keyframes(file: Path, entries: object) -> tuple[Keyframe, ...]:
             target=_vector(where, "target", entry.get("target")),
             fov_y=None
             if fov is None
-            else float(np.radians(_number(where, "fov_y_degrees", fov, 1, 170))),
+            else float(np.radians(_number(where, "fov_y_degrees", fov, 1.0, 170.0))),
         )
         if keys and key.frame <= keys[-1].frame:
             raise InputError(f"camera path {where}: frames must increase")

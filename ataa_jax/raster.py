@@ -17,9 +17,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
-from ataa_jax import embree, shading
+from ataa_jax import embree, shading, vector
 from ataa_jax.surface import Surface, previous_position
-from ataa_jax.types import FrameInputs, GBuffer, Hits, Scene
+from ataa_jax.shading import Config as ShadingConfig
+from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Scene
+from ataa_jax.vector import Vec3
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Config:
 
     size: tuple[int, int] = (360, 640)  # rows, columns
     mip_maps: bool = True  # False: level 0 everywhere, as the reference and SSAA read
-    shading: shading.Config = field(default_factory=shading.Config)
+    shading: ShadingConfig = field(default_factory=ShadingConfig)
 
 
 class Params(eqx.Module):
@@ -74,16 +76,19 @@ def raster(
         Colour and G-buffer of the frame.
     """
     size = config.size
-    centre_px = cameras.pixel_centres(size)
-    direction = cameras.directions(
-        inputs.camera, size, centre_px + inputs.jitter[None, :]
+    x_px, y_px = cameras.pixel_centres(size)
+    direction = vector.materialize(
+        cameras.directions(
+            inputs.camera, size, x_px + inputs.jitter[0], y_px + inputs.jitter[1]
+        )
     )
-    eye = cameras.position(inputs.camera)
+    direction_array = vector.stack(direction)
+    eye = vector.stack(cameras.position(inputs.camera))
     hits = embree.intersect(
         tracer,
         inputs.world_from_group,
-        jnp.broadcast_to(eye[None, :], direction.shape),
-        direction,
+        jnp.broadcast_to(eye[None, :], direction_array.shape),
+        direction_array,
         tile=size,
     )
     steps = cameras.direction_steps(inputs.camera, size[0]) if config.mip_maps else None
@@ -97,19 +102,23 @@ def raster(
         params.mip_bias,
         config=config.shading,
     )
-    motion, motion_valid = _motion(scene, inputs, direction, centre_px, hits, shaded, size)
     surface = shaded.surface
+    motion_x, motion_y, motion_valid = _motion(
+        scene, inputs, direction, (x_px, y_px), hits, surface, size
+    )
+    motion = jnp.stack([motion_x, motion_y], axis=-1)
+    normal = vector.stack(vector.select(surface.hit, surface.normal, 0.0))
     depth = jnp.where(surface.hit, hits.distance, jnp.inf)
     gbuffer = GBuffer(
         depth=depth.reshape(size),
         motion=motion.reshape(*size, 2),
         motion_valid=motion_valid.reshape(size),
-        normal=jnp.where(surface.hit, surface.normal, 0.0).T.reshape(*size, 3),
+        normal=normal.reshape(*size, 3),
         object=jnp.where(surface.hit, surface.object, -1).reshape(size),
         material=jnp.where(surface.hit, surface.material, -1).reshape(size),
     )
     return RasterOutput(
-        color=shaded.color.reshape(*size, 3),
+        color=vector.stack(shaded.color).reshape(*size, 3),
         gbuffer=gbuffer,
         primary_rays=jnp.asarray(size[0] * size[1], jnp.int32),
         shadow_rays=shaded.shadow_rays,
@@ -119,45 +128,42 @@ def raster(
 def _motion(
     scene: Scene,
     inputs: FrameInputs,
-    direction: Float[Array, "n 3"],
-    centre_px: Float[Array, "n 2"],
+    direction: Vec3,
+    centre_px: tuple[Float[Array, " n"], Float[Array, " n"]],
     hits: Hits,
-    shaded: shading.Shaded,
+    surface: Surface,
     size: tuple[int, int],
-) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Bool[Array, " n"]]:
     """Returns motion vectors and whether the point was in front of and inside the view.
 
     Sky lies at infinity: its direction, not a point, is projected.
     """
-    surface = shaded.surface
     previous = previous_position(
         scene.geometry, inputs.previous_world_from_group, hits, surface
     )
-    offset_now = _relative(surface, surface.position, inputs.camera, direction)
-    offset_then = _relative(surface, previous, inputs.previous_camera, direction)
-    now_px, _ = cameras.project(inputs.camera, size, offset_now)
-    then_px, in_front = cameras.project(inputs.previous_camera, size, offset_then)
-    moved = _moved(scene, inputs, surface)
+
+    def offset(position: Vec3, camera: Camera) -> Vec3:
+        return vector.select(
+            surface.hit, position - cameras.position(camera), direction
+        )
+
+    now_x, now_y, _ = cameras.project(
+        inputs.camera, size, offset(surface.position, inputs.camera)
+    )
+    then_x, then_y, in_front = cameras.project(
+        inputs.previous_camera, size, offset(previous, inputs.previous_camera)
+    )
     # Exactly zero where nothing moved: rounding must not make the history's filter
     # blur a still image, and the disocclusion test must not see a ghost of motion.
-    motion = jnp.where((moved & in_front)[:, None], then_px - now_px, 0.0)
+    moved = _moved(scene, inputs, surface) & in_front
     # Far outside, the vector's length says nothing more; bounded, it stays finite.
     bound = 4.0 * max(size)
-    motion = jnp.clip(motion, -bound, bound)
-    target = centre_px + motion
-    extent = jnp.array([size[1], size[0]], jnp.float32)
-    inside = jnp.all((target >= 0.0) & (target <= extent[None, :]), axis=-1)
-    return motion, in_front & inside
-
-
-def _relative(
-    surface: Surface,
-    position: Float[Array, "3 n"],
-    camera: cameras.Camera,
-    direction: Float[Array, "n 3"],
-) -> Float[Array, "n 3"]:
-    eye = cameras.position(camera)
-    return jnp.where(surface.hit, position - eye[:, None], direction.T).T
+    x = jnp.where(moved, jnp.clip(then_x - now_x, -bound, bound), 0.0)
+    y = jnp.where(moved, jnp.clip(then_y - now_y, -bound, bound), 0.0)
+    target_x, target_y = centre_px[0] + x, centre_px[1] + y
+    inside = (target_x >= 0.0) & (target_x <= size[1])
+    inside = inside & (target_y >= 0.0) & (target_y <= size[0])
+    return x, y, in_front & inside
 
 
 def _moved(scene: Scene, inputs: FrameInputs, surface: Surface) -> Bool[Array, " n"]:
@@ -172,7 +178,7 @@ def _moved(scene: Scene, inputs: FrameInputs, surface: Surface) -> Bool[Array, "
     return camera_moved | own
 
 
-def _equal(a: cameras.Camera, b: cameras.Camera) -> Bool[Array, ""]:
+def _equal(a: Camera, b: Camera) -> Bool[Array, ""]:
     return jnp.all(a.world_from_view == b.world_from_view) & (
         a.tan_half_fov_y == b.tan_half_fov_y
     )

@@ -18,7 +18,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
 from ataa_jax import color as colors
-from ataa_jax import compact, embree, sampling, shading
+from ataa_jax import compact, embree, sampling, shading, vector
+from ataa_jax.shading import Config as ShadingConfig
 from ataa_jax.types import FrameInputs, Scene
 
 
@@ -31,7 +32,7 @@ class Config:
     # while the unused tail of the last chunk stays under 1 % of a 640×360 frame.
     chunk: int = 2048
     average: colors.Average = "tonemap"
-    shading: shading.Config = field(default_factory=shading.Config)
+    shading: ShadingConfig = field(default_factory=ShadingConfig)
 
 
 class RaytraceOutput(eqx.Module):
@@ -108,19 +109,21 @@ def _trace_chunk(
 ) -> tuple[Float[Array, "n 3"], Int[Array, ""]]:
     """Traces all samples of one chunk of pixels, a pixel's rays side by side."""
     width = size[1]
-    row, column = index // width, index % width
-    centre = jnp.stack([column, row], axis=-1).astype(jnp.float32) + 0.5
-    xy_px = (centre[:, None, :] + offsets[None, :, :]).reshape(-1, 2)
-    direction = cameras.directions(inputs.camera, size, xy_px)
+    row = (index // width).astype(jnp.float32)
+    column = (index % width).astype(jnp.float32)
+    x_px = (column[:, None] + 0.5 + offsets[None, :, 0]).reshape(-1)
+    y_px = (row[:, None] + 0.5 + offsets[None, :, 1]).reshape(-1)
+    direction = cameras.directions(inputs.camera, size, x_px, y_px)
     # A direction of NaN hits nothing and costs nothing: the chunk's unused tail.
     active = jnp.repeat(used, config.samples)
-    direction = jnp.where(active[:, None], direction, jnp.nan)
-    eye = cameras.position(inputs.camera)
+    direction = vector.materialize(vector.select(active, direction, jnp.nan))
+    direction_array = vector.stack(direction)
+    eye = vector.stack(cameras.position(inputs.camera))
     hits = embree.intersect(
         tracer,
         inputs.world_from_group,
-        jnp.broadcast_to(eye[None, :], direction.shape),
-        direction,
+        jnp.broadcast_to(eye[None, :], direction_array.shape),
+        direction_array,
     )
     shaded = shading.radiance(
         scene,
@@ -132,7 +135,7 @@ def _trace_chunk(
         0.0,
         config=config.shading,
     )
-    samples = colors.to_average(shaded.color, config.average)
+    samples = colors.to_average(vector.stack(shaded.color), config.average)
     samples = samples.reshape(index.shape[0], config.samples, 3)
     mean = jnp.sum(samples, axis=1) * (1.0 / config.samples)
     return colors.from_average(mean, config.average), shaded.shadow_rays

@@ -1,6 +1,6 @@
 """Subpixel sample positions: temporal jitter, multisample patterns, reference sets.
 
-Every offset is in pixels from the pixel centre, x right, y down, in [−0.5, 0.5).
+Every offset is in pixels from the pixel centre, x right, y down.
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ def pattern(samples: int) -> np.ndarray:
         raise InputError(f"a sample count must be at least 1, not {samples}")
     if samples in _D3D_SIXTEENTHS:
         return np.array(_D3D_SIXTEENTHS[samples], np.float32) / np.float32(16.0)
-    return _r2(samples, shift=0.25)
+    return _r2(samples, first=1025)
 
 
 def reference_pattern(samples: int) -> np.ndarray:
@@ -62,7 +62,7 @@ def reference_pattern(samples: int) -> np.ndarray:
     """
     if samples < 1:
         raise InputError(f"a sample count must be at least 1, not {samples}")
-    return _r2(samples, shift=0.5)
+    return _r2(samples, first=1)
 
 
 def halton_jitter(
@@ -95,8 +95,12 @@ def _radical_inverse(index: int, base: int) -> float:
     return value
 
 
-def _r2(samples: int, shift: float) -> np.ndarray:
-    points = (shift + np.arange(1, samples + 1)[:, None] * _R2_ALPHA) % 1.0
-    points -= points.mean(axis=0) if samples > 1 else 0.5
-    # Centring may push a point just past the pixel's edge: wrap it back.
-    return ((points + 0.5) % 1.0 - 0.5).astype(np.float32)
+def _r2(samples: int, first: int) -> np.ndarray:
+    """Returns `samples` points of the R2 sequence from an index on, zero mean.
+
+    Centring moves them by less than half the mean spacing, so a few may lie that far
+    outside the pixel; an off-centre mean would shift the whole image instead.
+    """
+    index = np.arange(first, first + samples)[:, None]
+    points = (0.5 + index * _R2_ALPHA) % 1.0
+    return (points - points.mean(axis=0)).astype(np.float32)

@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import embree, texture, vector
 from ataa_jax.surface import Surface, interpolate
-from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Lights, Scene, Sky
+from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Scene, Sky
+from ataa_jax.vector import Vec3
 
 # Perceptual roughness below this makes GGX's peak exceed what float32 and eight
 # samples resolve (Filament's documentation, 4.8.3.1, gives 0.045 for float32).
@@ -49,29 +50,29 @@ class Config:
 class Shaded(eqx.Module):
     """Radiance of a batch of rays, and what it was computed from."""
 
-    color: Float[Array, "n 3"]  # linear radiance toward the viewer; the sky on a miss
+    color: Vec3  # linear radiance toward the viewer; the sky on a miss
     surface: Surface
     shadow_rays: Int[Array, ""]
 
 
 class _Material(eqx.Module):
-    """The material evaluated at one point: `diffuse` and `f0` in linear colour."""
+    """The material evaluated at one point: `diffuse` and `f0` are linear colours."""
 
-    diffuse: Float[Array, "3 n"]
-    f0: Float[Array, "3 n"]
+    diffuse: Vec3
+    f0: Vec3
     alpha: Float[Array, " n"]  # GGX width: perceptual roughness squared
     roughness: Float[Array, " n"]
-    emissive: Float[Array, "3 n"]
-    normal: Float[Array, "3 n"]
+    emissive: Vec3 | None
+    normal: Vec3
 
 
 def radiance(
     scene: Scene,
     tracer: embree.Tracer,
     world_from_group: Float[Array, "g 3 4"],
-    direction: Float[Array, "n 3"],
-    hits: embree.Hits,
-    steps: tuple[Float[Array, " 3"], Float[Array, " 3"]] | None,
+    direction: Vec3,
+    hits: Hits,
+    steps: tuple[Vec3, Vec3] | None,
     mip_bias: Float[Array, ""] | float,
     *,
     config: Config,
@@ -93,36 +94,44 @@ def radiance(
     Returns:
         Radiance and surfaces; shadow rays are cast for lit, facing hits only.
     """
-    ray = direction.T
-    surface = interpolate(scene.geometry, world_from_group, hits, ray, steps)
-    view = -vector.normalize(ray)
-    material = _evaluate_material(scene, surface, mip_bias, config)
-    color = material.emissive
-    if config.sky:
-        color = color + _ambient(scene.sky, material, view)
-    direct, shadow_rays = _direct(
+    surface = vector.materialize(
+        interpolate(scene.geometry, world_from_group, hits, direction, steps)
+    )
+    view = vector.materialize(-vector.normalize(direction))
+    material = vector.materialize(
+        _evaluate_material(scene, surface, mip_bias, config)
+    )
+    color, shadow_rays = _direct(
         scene.lights, tracer, world_from_group, surface, material, view, config
     )
-    color = jnp.where(surface.hit, color + direct, 0.0)
+    if material.emissive is not None:
+        color = color + material.emissive
     if config.sky:
-        background = sky_radiance(scene.sky, -view)
-        color = jnp.where(surface.hit, color, background)
-    return Shaded(color=color.T, surface=surface, shadow_rays=shadow_rays)
-
-
-def sky_radiance(sky: Sky, unit: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
-    """Returns the sky's radiance along unit directions: linear in the height."""
-    up = jnp.clip(unit[1], 0.0, 1.0)
-    down = jnp.clip(-unit[1], 0.0, 1.0)
-    # A square root puts the gradient near the horizon, where real skies have it.
-    up = jnp.sqrt(up)
-    down = jnp.minimum(down * 8.0, 1.0)
-    horizon = sky.horizon[:, None]
-    return (
-        horizon
-        + (sky.zenith[:, None] - horizon) * up
-        + (sky.ground[:, None] - horizon) * down
+        color = color + _ambient(scene.sky, material, view)
+        color = vector.select(surface.hit, color, sky_radiance(scene.sky, -view))
+    else:
+        color = vector.select(surface.hit, color, 0.0)
+    return Shaded(
+        color=vector.materialize(color), surface=surface, shadow_rays=shadow_rays
     )
+
+
+def sky_radiance(sky: Sky, unit: Vec3) -> Vec3:
+    """Returns the sky's radiance along unit directions.
+
+    A square root puts the gradient near the horizon, where real skies have it.
+    """
+    up = jnp.sqrt(jnp.clip(unit.y, 0.0, 1.0))
+    down = jnp.clip(-8.0 * unit.y, 0.0, 1.0)
+    zenith, horizon, ground = _sky_colors(sky)
+    return horizon + (zenith - horizon) * up + (ground - horizon) * down
+
+
+def _sky_colors(sky: Sky) -> tuple[Vec3, Vec3, Vec3]:
+    zenith, horizon, ground = (
+        vector.unstack(part) for part in (sky.zenith, sky.horizon, sky.ground)
+    )
+    return zenith, horizon, ground
 
 
 def _evaluate_material(
@@ -130,23 +139,23 @@ def _evaluate_material(
 ) -> _Material:
     table, material = scene.materials, surface.material
 
-    def fetch(textures_of_materials: Int[Array, " m"]) -> Float[Array, "3 n"]:
+    def fetch(texture_of_material: Int[Array, " m"]) -> Vec3:
         return texture.sample(
             scene.textures,
-            textures_of_materials[material],
+            texture_of_material[material],
             surface.uv,
             surface.uv_dx,
             surface.uv_dy,
             mip_bias,
-        ).T
+        )
 
-    base = table.base_color[material].T[:3]
+    base = Vec3(*vector.take(table.base_color, material)[:3])
     if config.base_color_textures:
         base = base * fetch(table.base_color_texture)
     metallic, roughness = table.metallic[material], table.roughness[material]
     if config.metallic_roughness_textures:
         packed = fetch(table.metallic_roughness_texture)
-        roughness, metallic = roughness * packed[1], metallic * packed[2]
+        roughness, metallic = roughness * packed.y, metallic * packed.z
     normal = surface.normal
     if config.normal_maps:
         normal = _normal_mapped(
@@ -155,16 +164,16 @@ def _evaluate_material(
             table.normal_scale[material],
             table.normal_texture[material] >= 0,
         )
-    emissive = jnp.zeros_like(base)
+    emissive = None
     if config.emission:
-        emissive = table.emissive[material].T
+        (emissive,) = vector.take3(table.emissive, material)
         if config.emissive_textures:
             emissive = emissive * fetch(table.emissive_texture)
     roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
     metallic = jnp.clip(metallic, 0.0, 1.0)
     return _Material(
         diffuse=base * (1.0 - metallic),
-        f0=0.04 + (base - 0.04) * metallic,
+        f0=(base - 0.04) * metallic + 0.04,
         alpha=roughness * roughness,
         roughness=roughness,
         emissive=emissive,
@@ -174,48 +183,47 @@ def _evaluate_material(
 
 def _normal_mapped(
     surface: Surface,
-    texel: Float[Array, "3 n"],
+    texel: Vec3,
     scale: Float[Array, " n"],
     present: Bool[Array, " n"],
-) -> Float[Array, "3 n"]:
-    """Bends the interpolated normal by a tangent-space map (glTF: +Y is up in v).
+) -> Vec3:
+    """Bends the interpolated normal by a tangent-space map.
 
-    glTF's green points against growing v (its v runs down the image), hence the sign.
+    glTF's green grows against v (its v runs down the image), hence the sign.
     """
-    x = (texel[0] * 2.0 - 1.0) * scale
-    y = (texel[1] * 2.0 - 1.0) * scale
-    z = texel[2] * 2.0 - 1.0
+    x = (texel.x * 2.0 - 1.0) * scale
+    y = (texel.y * 2.0 - 1.0) * scale
+    z = texel.z * 2.0 - 1.0
     bent = vector.normalize(
         surface.tangent * x - surface.bitangent * y + surface.normal * z
     )
     facing = vector.dot(bent, surface.geometric_normal) > 0.0
-    return jnp.where(present & facing, bent, surface.normal)
+    return vector.select(present & facing, bent, surface.normal)
 
 
-def _ambient(
-    sky: Sky, material: _Material, view: Float[Array, "3 n"]
-) -> Float[Array, "3 n"]:
+def _ambient(sky: Sky, material: _Material, view: Vec3) -> Vec3:
     """Returns the sky's light reflected without occlusion, times its visibility.
 
-    The diffuse term takes the sky along the normal blended toward the mean of the
-    hemisphere; the specular term is Karis's mobile environment BRDF ("Physically based
-    shading on mobile", 2014).
+    The diffuse term takes the mean radiance of the hemisphere about the normal, linear
+    between the mean of the upper sky and the ground; the specular term is Karis's
+    mobile environment BRDF ("Physically based shading on mobile", 2014).
     """
     normal = material.normal
     cos_view = jnp.maximum(vector.dot(normal, view), 1e-4)
-    height = normal[1] * 0.5 + 0.5
-    middle = sky.horizon[:, None]
-    above, below = sky.zenith[:, None], sky.ground[:, None]
-    upper = 0.5 * (above + middle)
-    irradiance = below + (upper - below) * height
-    mirrored = 2.0 * cos_view * normal - view
-    blurred = sky_radiance(sky, vector.normalize(mirrored))
+    zenith, horizon, ground = _sky_colors(sky)
+    upper = (zenith + horizon) * 0.5
+    irradiance = ground + (upper - ground) * (normal.y * 0.5 + 0.5)
+    mirrored = vector.normalize(normal * (2.0 * cos_view) - view)
+    blurred = sky_radiance(sky, mirrored)
     blurred = blurred + (irradiance - blurred) * material.roughness
-    c0 = jnp.array([-1.0, -0.0275, -0.572, 0.022], jnp.float32)
-    c1 = jnp.array([1.0, 0.0425, 1.04, -0.04], jnp.float32)
-    r = [material.roughness * c0[i] + c1[i] for i in range(4)]
-    a004 = jnp.minimum(r[0] * r[0], jnp.exp2(-9.28 * cos_view)) * r[0] + r[1]
-    specular = material.f0 * (-1.04 * a004 + r[2]) + (1.04 * a004 + r[3])
+    # Karis's fit: r = roughness · c0 + c1.
+    r_x = 1.0 - material.roughness
+    r_y = 0.0425 - 0.0275 * material.roughness
+    r_z = 1.04 - 0.572 * material.roughness
+    r_w = 0.022 * material.roughness - 0.04
+    a004 = jnp.minimum(r_x * r_x, jnp.exp2(-9.28 * cos_view)) * r_x + r_y
+    scale, bias = -1.04 * a004 + r_z, 1.04 * a004 + r_w
+    specular = material.f0 * scale + bias
     reflected = material.diffuse * irradiance + specular * blurred
     return reflected * sky.visibility
 
@@ -226,36 +234,43 @@ def _direct(
     world_from_group: Float[Array, "g 3 4"],
     surface: Surface,
     material: _Material,
-    view: Float[Array, "3 n"],
+    view: Vec3,
     config: Config,
-) -> tuple[Float[Array, "3 n"], Int[Array, ""]]:
+) -> tuple[Vec3, Int[Array, ""]]:
     """Sums the punctual lights; a scan compiles the shadow ray once for all lights."""
-    zero = jnp.zeros_like(surface.position)
+    black = jax.tree.map(jnp.zeros_like, surface.position)
     count = lights.kind.shape[0]
     if count == 0:
-        return zero, jnp.zeros((), jnp.int32)
-    origin = surface.position + surface.geometric_normal * (surface.magnitude * _OFFSET)
+        return black, jnp.zeros((), jnp.int32)
+    lift = surface.geometric_normal * (surface.magnitude * _OFFSET)
+    start = vector.materialize(surface.position + lift)
+    start_array = vector.stack(start)
 
     def add(
-        carry: tuple[Float[Array, "3 n"], Int[Array, ""]], light: Lights
-    ) -> tuple[tuple[Float[Array, "3 n"], Int[Array, ""]], None]:
+        carry: tuple[Vec3, Int[Array, ""]], light: Lights
+    ) -> tuple[tuple[Vec3, Int[Array, ""]], None]:
         total, rays = carry
-        toward, distance, irradiance = _incident(light, origin)
+        toward, distance, irradiance = vector.materialize(_incident(light, start))
         cos_light = vector.dot(material.normal, toward)
         cos_geometric = vector.dot(surface.geometric_normal, toward)
         lit = surface.hit & (cos_light > 0.0) & (cos_geometric > 0.0)
-        lit = lit & (jnp.max(irradiance, axis=0) > 0.0)
+        lit = lit & (vector.largest(irradiance) > 0.0)
         if config.shadows:
             shadowed = embree.occluded(
-                tracer, world_from_group, origin.T, toward.T, distance, lit
+                tracer,
+                world_from_group,
+                start_array,
+                vector.stack(toward),
+                distance,
+                lit,
             )
             rays = rays + jnp.sum(lit, dtype=jnp.int32)
             lit = lit & ~shadowed
-        reflected = _brdf(material, view, toward) * jnp.maximum(cos_light, 0.0)
-        total = total + jnp.where(lit, reflected * irradiance, 0.0)
+        reflected = _brdf(material, view, toward) * irradiance
+        total = total + reflected * jnp.where(lit, cos_light, 0.0)
         return (total, rays), None
 
-    carry = (zero, jnp.zeros((), jnp.int32))
+    carry = (black, jnp.zeros((), jnp.int32))
     if count == 1:
         carry, _ = add(carry, jax.tree.map(lambda x: x[0], lights))
     else:
@@ -263,31 +278,26 @@ def _direct(
     return carry
 
 
-def _incident(
-    light: Lights, point: Float[Array, "3 n"]
-) -> tuple[Float[Array, "3 n"], Float[Array, " n"], Float[Array, "3 n"]]:
+def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Float[Array, " n"], Vec3]:
     """Returns direction to one light, distance to it, and its normal irradiance."""
-    offset = light.position[:, None] - point
+    travel = vector.unstack(light.direction)
+    offset = vector.unstack(light.position) - point
     toward_point = vector.normalize(offset)
     squared = jnp.maximum(vector.dot(offset, offset), _MIN_SQUARED_DISTANCE)
     # KHR_lights_punctual: window = clamp(1 − (d/range)⁴, 0, 1), over d².
     window = jnp.clip(1.0 - (squared / (light.range * light.range)) ** 2, 0.0, 1.0)
-    cos_angle = -vector.dot(
-        jnp.broadcast_to(light.direction[:, None], point.shape), toward_point
-    )
+    cos_angle = -vector.dot(toward_point, travel)
     width = jnp.maximum(light.cos_inner - light.cos_outer, 1e-3)
     cone = jnp.clip((cos_angle - light.cos_outer) / width, 0.0, 1.0)
     falloff = window / squared * jnp.where(light.kind == LIGHT_SPOT, cone * cone, 1.0)
     directional = light.kind == LIGHT_DIRECTIONAL
-    toward = jnp.where(directional, -light.direction[:, None], toward_point)
+    toward = vector.select(directional, -travel, toward_point)
     distance = jnp.where(directional, jnp.inf, jnp.sqrt(squared))
     strength = jnp.where(directional, 1.0, falloff)
-    return toward, distance, light.intensity[:, None] * strength
+    return toward, distance, vector.unstack(light.intensity) * strength
 
 
-def _brdf(
-    material: _Material, view: Float[Array, "3 n"], light: Float[Array, "3 n"]
-) -> Float[Array, "3 n"]:
+def _brdf(material: _Material, view: Vec3, light: Vec3) -> Vec3:
     """Evaluates Lambert plus GGX (glTF specification, appendix B.3).
 
     D = α² / (π ((n·h)² (α² − 1) + 1)²), V = ½ / (n·l √((n·v)²(1−α²)+α²) + n·v √(…)).
@@ -305,6 +315,8 @@ def _brdf(
         cos_light * jnp.sqrt(cos_view * cos_view * (1.0 - a2) + a2)
         + cos_view * jnp.sqrt(cos_light * cos_light * (1.0 - a2) + a2)
     )
-    fresnel = material.f0 + (1.0 - material.f0) * (1.0 - cos_hv) ** 5
-    diffuse = material.diffuse * (1.0 - fresnel) / jnp.pi
+    grazing = 1.0 - cos_hv
+    grazing = grazing * grazing * (grazing * grazing) * grazing
+    fresnel = material.f0 + (1.0 - material.f0) * grazing
+    diffuse = material.diffuse * (1.0 - fresnel) * (1.0 / jnp.pi)
     return diffuse + fresnel * (distribution * visibility)

@@ -14,20 +14,28 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import vector
 from ataa_jax.types import Geometry, Hits
+from ataa_jax.vector import Vec3
+
+
+class Uv(eqx.Module):
+    """A texture coordinate, or its change by one pixel."""
+
+    u: Float[Array, " n"]
+    v: Float[Array, " n"]
 
 
 class Surface(eqx.Module):
     """One shaded point per ray; finite everywhere, meaningless where `hit` is False."""
 
     hit: Bool[Array, " n"]
-    position: Float[Array, "3 n"]  # world
-    geometric_normal: Float[Array, "3 n"]  # world, unit, toward the viewer
-    normal: Float[Array, "3 n"]  # world, unit, interpolated, toward the viewer
-    tangent: Float[Array, "3 n"]  # world, unit or zero: the direction of growing u
-    bitangent: Float[Array, "3 n"]  # world, unit or zero: the direction of growing v
-    uv: Float[Array, "n 2"]
-    uv_dx: Float[Array, "n 2"] | None  # change of uv by one pixel to the right
-    uv_dy: Float[Array, "n 2"] | None  # change of uv by one pixel down
+    position: Vec3  # world
+    geometric_normal: Vec3  # world, unit, toward the viewer
+    normal: Vec3  # world, unit, interpolated, on the geometric normal's side
+    tangent: Vec3  # world, unit or zero: the direction of growing u
+    bitangent: Vec3  # world, unit or zero: the direction of growing v
+    uv: Uv
+    uv_dx: Uv | None  # change by one pixel to the right
+    uv_dy: Uv | None  # change by one pixel down
     magnitude: Float[Array, " n"]  # largest |coordinate| of the triangle, world
     triangle: Int[Array, " n"]  # a valid index also where nothing was hit
     material: Int[Array, " n"]
@@ -38,8 +46,8 @@ def interpolate(
     geometry: Geometry,
     world_from_group: Float[Array, "g 3 4"],
     hits: Hits,
-    direction: Float[Array, "3 n"],
-    steps: tuple[Float[Array, " 3"], Float[Array, " 3"]] | None,
+    direction: Vec3,
+    steps: tuple[Vec3, Vec3] | None,
 ) -> Surface:
     """Interpolates the attributes of the triangles that rays met.
 
@@ -60,67 +68,46 @@ def interpolate(
     triangle = jnp.where(hit, hits.triangle, 0)
     b1, b2 = hits.barycentric[:, 0], hits.barycentric[:, 1]
     b0 = 1.0 - b1 - b2
-    corners = jnp.moveaxis(geometry.position[triangle], 0, -1)  # corner, xyz, n
-    normals = jnp.moveaxis(geometry.normal[triangle], 0, -1)
-    uvs = geometry.uv[triangle]  # n, corner, uv
-    normal = b0 * normals[0] + b1 * normals[1] + b2 * normals[2]
-    p0, p1, p2 = corners[0], corners[1], corners[2]
+    p0, p1, p2 = vector.take3(geometry.position, triangle)
+    n0, n1, n2 = vector.take3(geometry.normal, triangle)
+    u0, v0, u1, v1, u2, v2 = vector.take(geometry.uv, triangle)
+    normal = n0 * b0 + n1 * b1 + n2 * b2
     if world_from_group.shape[0] > 1:
-        matrix = jnp.moveaxis(world_from_group[geometry.group[triangle]], 0, -1)
-        p0, p1, p2 = (vector.transform(matrix, p) for p in (p0, p1, p2))
-        normal = _rotate_normal(matrix, normal)
+        group = geometry.group[triangle]
+        world = vector.take_affine(world_from_group, group)
+        p0, p1, p2 = world.transform(p0), world.transform(p1), world.transform(p2)
+        normal = world.rotate_normal(normal)
+    p0, p1, p2, normal = vector.materialize((p0, p1, p2, normal))
     e1, e2 = p1 - p0, p2 - p0
-    position = p0 + b1 * e1 + b2 * e2
     plane = vector.cross(e1, e2)
     # The viewer's side: normals of either winding are turned toward the ray's origin.
     geometric = vector.normalize(plane)
-    geometric = jnp.where(vector.dot(geometric, direction) > 0.0, -geometric, geometric)
+    away = vector.dot(geometric, direction) > 0.0
+    geometric = vector.select(away, -geometric, geometric)
     normal = vector.normalize(normal)
-    normal = jnp.where(vector.dot(normal, geometric) < 0.0, -normal, normal)
-    usable = jnp.any(normal != 0.0, axis=0)
-    normal = jnp.where(usable, normal, geometric)
+    normal = vector.select(vector.dot(normal, geometric) < 0.0, -normal, normal)
+    normal = vector.select(vector.largest(normal) > 0.0, normal, geometric)
 
-    uv = b0[:, None] * uvs[:, 0] + b1[:, None] * uvs[:, 1] + b2[:, None] * uvs[:, 2]
-    duv1, duv2 = uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]
+    du1, dv1, du2, dv2 = vector.materialize((u1 - u0, v1 - v0, u2 - u0, v2 - v0))
     uv_dx = uv_dy = None
     if steps is not None:
-        squared = vector.dot(plane, plane)
-        inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
-        gradient1 = vector.cross(e2, plane) * inverse
-        gradient2 = vector.cross(plane, e1) * inverse
-        distance = jnp.where(hit, hits.distance, 1.0)
-        along = vector.dot(plane, direction)
-        along = jnp.where(jnp.abs(along) > 0.0, along, 1.0)
-
-        def uv_step(step: Float[Array, " 3"]) -> Float[Array, "n 2"]:
-            # p = o + t d stays on the plane: dp = t (dd − d (N·dd)/(N·d)).
-            slope = (plane[0] * step[0] + plane[1] * step[1] + plane[2] * step[2]) / (
-                along
-            )
-            moved = distance * (step[:, None] - direction * slope)
-            db1 = vector.dot(moved, gradient1)
-            db2 = vector.dot(moved, gradient2)
-            return db1[:, None] * duv1 + db2[:, None] * duv2
-
-        uv_dx, uv_dy = uv_step(steps[0]), uv_step(steps[1])
-
+        uv_dx, uv_dy = _uv_steps(
+            hits, direction, steps, e1, e2, plane, (du1, dv1, du2, dv2)
+        )
     # dp/du and dp/dv from e = duv · (dp/du, dp/dv); only directions matter here.
-    determinant = duv1[:, 0] * duv2[:, 1] - duv2[:, 0] * duv1[:, 1]
-    sign = jnp.sign(determinant)
-    tangent = vector.normalize((e1 * duv2[:, 1] - e2 * duv1[:, 1]) * sign)
-    bitangent = vector.normalize((e2 * duv1[:, 0] - e1 * duv2[:, 0]) * sign)
-    magnitude = jnp.max(jnp.abs(jnp.concatenate([p0, p1, p2])), axis=0)
+    sign = jnp.sign(du1 * dv2 - du2 * dv1)
+    corner = [vector.largest(p) for p in (p0, p1, p2)]
     return Surface(
         hit=hit,
-        position=position,
+        position=p0 + e1 * b1 + e2 * b2,
         geometric_normal=geometric,
         normal=normal,
-        tangent=tangent,
-        bitangent=bitangent,
-        uv=uv,
+        tangent=vector.normalize((e1 * dv2 - e2 * dv1) * sign),
+        bitangent=vector.normalize((e2 * du1 - e1 * du2) * sign),
+        uv=Uv(u0 + b1 * du1 + b2 * du2, v0 + b1 * dv1 + b2 * dv2),
         uv_dx=uv_dx,
         uv_dy=uv_dy,
-        magnitude=magnitude,
+        magnitude=jnp.maximum(jnp.maximum(corner[0], corner[1]), corner[2]),
         triangle=triangle,
         material=geometry.material[triangle],
         object=geometry.object[triangle],
@@ -132,26 +119,41 @@ def previous_position(
     previous_world_from_group: Float[Array, "g 3 4"],
     hits: Hits,
     surface: Surface,
-) -> Float[Array, "3 n"]:
+) -> Vec3:
     """Returns where the same material points were one frame before, world."""
     if previous_world_from_group.shape[0] == 1:
         return surface.position
     b1, b2 = hits.barycentric[:, 0], hits.barycentric[:, 1]
-    corners = jnp.moveaxis(geometry.position[surface.triangle], 0, -1)
-    matrix = jnp.moveaxis(
-        previous_world_from_group[geometry.group[surface.triangle]], 0, -1
-    )
-    p0, p1, p2 = (vector.transform(matrix, corners[i]) for i in range(3))
-    return p0 + b1 * (p1 - p0) + b2 * (p2 - p0)
+    p0, p1, p2 = vector.take3(geometry.position, surface.triangle)
+    group = geometry.group[surface.triangle]
+    world = vector.take_affine(previous_world_from_group, group)
+    return world.transform(p0 + (p1 - p0) * b1 + (p2 - p0) * b2)
 
 
-def _rotate_normal(
-    matrix: Float[Array, "3 4 n"], normal: Float[Array, "3 n"]
-) -> Float[Array, "3 n"]:
-    """Transforms normals by the cofactor matrix, the inverse transpose up to scale."""
-    a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
-    return (
-        vector.cross(b, c) * normal[0]
-        + vector.cross(c, a) * normal[1]
-        + vector.cross(a, b) * normal[2]
-    )
+def _uv_steps(
+    hits: Hits,
+    direction: Vec3,
+    steps: tuple[Vec3, Vec3],
+    e1: Vec3,
+    e2: Vec3,
+    plane: Vec3,
+    differences: tuple[Array, Array, Array, Array],
+) -> tuple[Uv, Uv]:
+    """Returns the change of uv by one pixel to the right and one down."""
+    du1, dv1, du2, dv2 = differences
+    squared = vector.dot(plane, plane)
+    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
+    gradient1 = vector.cross(e2, plane) * inverse
+    gradient2 = vector.cross(plane, e1) * inverse
+    distance = jnp.where(hits.triangle >= 0, hits.distance, 1.0)
+    along = vector.dot(plane, direction)
+    along = jnp.where(jnp.abs(along) > 0.0, along, 1.0)
+
+    def change(step: Vec3) -> Uv:
+        # p = o + t d stays on the plane: dp = t (dd − d (N·dd)/(N·d)).
+        slope = vector.dot(plane, step) / along
+        moved = (step - direction * slope) * distance
+        db1, db2 = vector.dot(moved, gradient1), vector.dot(moved, gradient2)
+        return Uv(db1 * du1 + db2 * du2, db1 * dv1 + db2 * dv2)
+
+    return change(steps[0]), change(steps[1])
