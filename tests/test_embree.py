@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import tiny
-from oracles import intersect as oracle
 
 from ataa_jax import embree, errors, types
 from ataa_jax.embree import library
+from tests import tiny
+from tests.oracles import intersect as oracle
 
 BACKENDS = ("packet", "run")
 EPS = np.finfo(np.float32).eps
@@ -494,7 +494,22 @@ def test_a_scene_at_rest_is_the_scene_without_groups(backend):
     np.testing.assert_allclose(a.distance, b.distance, rtol=tolerance)
 
 
-@pytest.mark.parametrize("scale", [0.0, (1.0, 0.0, 1.0), 1e-30, np.nan, np.inf])
+@pytest.mark.parametrize("scale", [1e-6, 1e6, (1.0, 1e-6, 1e4)])
+def test_tiny_and_huge_groups_are_hit(backend, scale):
+    stub = tiny.quad()
+    stub.group = 1
+    tracer = embree.build(tiny.scene([tiny.floor(1, 50), stub]), backend=backend)
+    matrices = tiny.still(2)
+    matrices[1] = tiny.moved(scale=scale)
+    width, height, _ = np.broadcast_to(np.float32(scale), 3) * np.float32(0.25)
+    origin = np.float32([[width, height, 3]])
+    direction = np.float32([[0, 0, -1]])
+    hits = tracer.intersect_numpy(matrices, origin, direction)
+    # As large as the coordinates are in the group's space, from there or from here.
+    np.testing.assert_allclose(hits.distance, [3], rtol=MOVED)
+
+
+@pytest.mark.parametrize("scale", [0.0, (1.0, 0.0, 1.0), 1e-30, 1e30, np.nan, np.inf])
 def test_a_group_without_an_inverse_is_not_there(backend, scale):
     tracer = embree.build(garden(groups=2), backend=backend)
     matrices = tiny.still(2)
@@ -556,6 +571,27 @@ def test_backends_agree_exactly_on_opaque_still_scenes(make):
     np.testing.assert_array_equal(packet.distance, run.distance)
     # Where two triangles are hit at one distance, either may be named.
     assert (packet.triangle == run.triangle).mean() > 0.999
+
+
+@hypothesis.given(st.integers(0, 2**32 - 1))
+@hypothesis.settings(max_examples=40)
+def test_backends_agree_where_everything_is_degenerate(seed):
+    # Small integers: slivers, points, shared edges, rays in planes and from corners.
+    rng = np.random.default_rng(seed)
+    position = rng.integers(-2, 3, size=(12, 3, 3)).astype(np.float32)
+    origin = rng.integers(-3, 4, size=(200, 3)).astype(np.float32)
+    direction = rng.integers(-2, 3, size=(200, 3)).astype(np.float32)
+    scene = tiny.scene([tiny.Part(position)])
+    packet, run = (
+        embree.build(scene, backend=b).intersect_numpy(
+            tiny.still(), origin, direction, coherent=seed % 2 == 0
+        )
+        for b in BACKENDS
+    )
+    # Rays that begin on a surface are restarted by `run`, 8 ulps further on.
+    np.testing.assert_allclose(packet.distance, run.distance, rtol=16 * EPS)
+    assert not np.isnan(packet.distance).any()
+    assert (packet.distance > 0).all()
 
 
 def test_backends_agree_on_holes_and_moving_groups():
@@ -650,9 +686,8 @@ def aimed(position, where, count, seed=1):
 
 @pytest.mark.parametrize("where", ["edge", "vertex"])
 @pytest.mark.parametrize("part", [tiny.sphere(64, 128), tiny.cube(2.0)])
-def test_no_ray_leaves_a_closed_mesh(where, part):
-    scene = tiny.scene([part])
-    tracer = embree.build(scene)
+def test_no_ray_leaves_a_closed_mesh(backend, where, part):
+    tracer = embree.build(tiny.scene([part]), backend=backend)
     origin, direction = aimed(part.position, where, 200_000)
     hits = tracer.intersect_numpy(tiny.still(), origin, direction, coherent=False)
     assert (hits.triangle < 0).sum() == 0

@@ -4,7 +4,8 @@
 groups are traced one after the other in their own spaces, and a hit on a hole of an
 alpha mask is followed by another ray that starts just behind it. About four times
 slower than the packet path; the hits are the same, up to the rounding of transformed
-and restarted rays.
+and restarted rays: one that grazes a silhouette or a hole's rim may fall on the other
+side of it.
 """
 
 import numpy as np
@@ -145,6 +146,7 @@ class RunBackend:
         barycentric = np.zeros((count, 2), np.float32)
         rays = np.arange(count)
         passed = np.zeros(count, np.float64)  # distance already travelled
+        step = np.zeros(count, np.float64)  # the last part of it, behind a hole
         start = origin
         scene = self._scenes[group]
         assert scene is not None
@@ -154,8 +156,9 @@ class RunBackend:
             primitive, u, v = hit["primID"], hit["u"], hit["v"]
             total = (passed + hit["tfar"]).astype(np.float32)
             some = (primitive >= 0) & (total <= far[rays])
-            # Robust mode reports hits at the origin itself, as ±0.
-            solid = some & (total > np.finfo(np.float32).tiny)
+            # Not hits: the origin itself, which robust mode reports as ±0, and what
+            # was just left, if the step was too small to leave it.
+            solid = some & (total > np.finfo(np.float32).tiny) & (hit["tfar"] > step)
             row = primitive - self._opaque[group]
             asked = np.flatnonzero(some & (row >= 0))
             solid[asked] &= masks.solid_many(
@@ -172,8 +175,9 @@ class RunBackend:
             rays, heading = rays[onward], heading[onward]
             at = start[onward] + hit["tfar"][onward, None] * heading
             largest = np.maximum(np.abs(at), np.abs(origin[rays])).max(axis=-1)
-            step = _STEP * largest / np.abs(heading).max(axis=-1)
-            step = np.maximum(step, np.finfo(np.float32).tiny)
+            stuck = hit["tfar"][onward] <= step[onward]
+            longer = np.maximum(16 * stuck * step[onward], np.finfo(np.float32).tiny)
+            step = np.maximum(_STEP * largest / np.abs(heading).max(axis=-1), longer)
             passed = passed[onward] + hit["tfar"][onward] + step
             start = (origin[rays] + passed[:, None] * heading).astype(np.float32)
         return distance, triangle, barycentric

@@ -164,17 +164,19 @@ class PacketBackend:
 def invertible(matrix: np.ndarray) -> bool:
     """Returns whether rays can be carried into a group moved by a 3×4 matrix.
 
-    A group scaled to nothing, or flattened, has no inverse; one with NaN is nowhere.
-    Such a group is not hit at all. The bound leaves room for scales down to 1e-6 on
-    each axis beside 1, far inside float32.
+    A group that is scaled to nothing, flattened or sheared flat has no inverse; one
+    with NaN is nowhere. Such a group is not hit at all.
     """
-    linear = np.asarray(matrix, np.float64)[:, :3]
     if not np.isfinite(matrix).all():
         return False
+    linear = matrix[:, :3].astype(np.float64)
     lengths = np.linalg.norm(linear, axis=0)
-    if lengths.min() < 1e-18:
+    volume = float(np.prod(lengths))
+    # Embree divides by the determinant in float32, which must not over- or underflow.
+    if not 1e-30 < volume < 1e30:
         return False
-    return abs(float(np.linalg.det(linear / lengths))) > 1e-6
+    flatness = abs(float(np.linalg.det(linear / lengths)))  # 1: axes at right angles
+    return flatness > 1e-6
 
 
 def _walk(tile: tuple[int, int] | None, count: int) -> tuple[int, int, int]:
