@@ -243,14 +243,15 @@ def _direct(
     if count == 0:
         return black, jnp.zeros((), jnp.int32)
     lift = surface.geometric_normal * (surface.magnitude * _OFFSET)
-    start = vector.materialize(surface.position + lift)
-    start_array = vector.stack(start)
+    start = vector.materialize(vector.stack(surface.position + lift))
 
     def add(
         carry: tuple[Vec3, Int[Array, ""]], light: Lights
     ) -> tuple[tuple[Vec3, Int[Array, ""]], None]:
         total, rays = carry
-        toward, distance, irradiance = vector.materialize(_incident(light, start))
+        toward, distance, irradiance = vector.materialize(
+            _incident(light, surface.position)
+        )
         cos_light = vector.dot(material.normal, toward)
         cos_geometric = vector.dot(surface.geometric_normal, toward)
         lit = surface.hit & (cos_light > 0.0) & (cos_geometric > 0.0)
@@ -259,7 +260,7 @@ def _direct(
             shadowed = embree.occluded(
                 tracer,
                 world_from_group,
-                start_array,
+                start,
                 vector.stack(toward),
                 distance,
                 lit,
