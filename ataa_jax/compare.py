@@ -180,7 +180,7 @@ def compare(
         previous = images
     for each in runners:
         result.stage_ms[each.name] = each.times
-    result.peak_memory_bytes = _peak_memory()
+    result.peak_memory_bytes = peak_memory()
     return result
 
 
@@ -411,7 +411,7 @@ def _score(
             result.whys.setdefault(each.name, []).append(each.why)
 
 
-def _peak_memory() -> int:
+def peak_memory() -> int:
     """Returns the process's peak resident memory in bytes, as the system tells it."""
     info = psutil.Process().memory_info()
     if hasattr(info, "peak_wset"):  # Windows

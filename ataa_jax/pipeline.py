@@ -30,7 +30,12 @@ from ataa_jax import (
 )
 from ataa_jax import color as colors
 from ataa_jax.errors import InputError
+from ataa_jax.fxaa import Config as FxaaConfig
+from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
+from ataa_jax.raytrace import Config as RaytraceConfig
+from ataa_jax.segmentation import Config as SegmentationConfig
+from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -55,11 +60,11 @@ class Config:
     # False: TAA alone, as engines run it: no mask, no rays, no FXAA, and the raw colour
     # where there is no history.
     adaptive: bool = True
-    raster: raster.Config = field(default_factory=raster.Config)
-    taa: taa.Config = field(default_factory=lambda: taa.PRESETS["tuned"][0])
-    segmentation: segmentation.Config = field(default_factory=segmentation.Config)
-    raytrace: raytrace.Config = field(default_factory=raytrace.Config)
-    fxaa: fxaa.Config = field(default_factory=fxaa.Config)
+    raster: RasterConfig = field(default_factory=RasterConfig)
+    taa: TaaConfig = field(default_factory=lambda: taa.PRESETS["tuned"][0])
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    raytrace: RaytraceConfig = field(default_factory=RaytraceConfig)
+    fxaa: FxaaConfig = field(default_factory=FxaaConfig)
 
 
 class Params(eqx.Module):
@@ -405,6 +410,15 @@ def with_budget(params: Params, budget: float) -> Params:
     """Returns the parameters under another ray budget, rays a pixel of the frame."""
     return eqx.tree_at(
         lambda p: p.budget, params, jnp.asarray(budget, params.budget.dtype)
+    )
+
+
+def with_threshold(params: Params, threshold: float) -> Params:
+    """Returns the parameters under another segmentation threshold."""
+    return eqx.tree_at(
+        lambda p: p.segmentation.threshold,
+        params,
+        jnp.asarray(threshold, params.segmentation.threshold.dtype),
     )
 
 

@@ -101,6 +101,7 @@ def raster(
         steps,
         params.mip_bias,
         config=config.shading,
+        tile=size,
     )
     surface = shaded.surface
     motion_x, motion_y, motion_valid = _motion(

@@ -76,6 +76,7 @@ def radiance(
     mip_bias: Float[Array, ""] | float,
     *,
     config: Config,
+    tile: tuple[int, int] | None = None,
 ) -> Shaded:
     """Shades what rays met.
 
@@ -90,6 +91,8 @@ def radiance(
             force the highest resolution of textures").
         mip_bias: added to the level of detail where there is one.
         config: the effects to compile.
+        tile: image (height, width) where the rays are its pixels in row-major order;
+            shadow rays of 4×4 pixels then travel together.
 
     Returns:
         Radiance and surfaces; shadow rays are cast for lit, facing hits only.
@@ -102,7 +105,7 @@ def radiance(
         _evaluate_material(scene, surface, mip_bias, config)
     )
     color, shadow_rays = _direct(
-        scene.lights, tracer, world_from_group, surface, material, view, config
+        scene.lights, tracer, world_from_group, surface, material, view, tile, config
     )
     if material.emissive is not None:
         color = color + material.emissive
@@ -235,6 +238,7 @@ def _direct(
     surface: Surface,
     material: _Material,
     view: Vec3,
+    tile: tuple[int, int] | None,
     config: Config,
 ) -> tuple[Vec3, Int[Array, ""]]:
     """Sums the punctual lights; a scan compiles the shadow ray once for all lights."""
@@ -264,6 +268,7 @@ def _direct(
                 vector.stack(toward),
                 distance,
                 lit,
+                tile=tile,
             )
             rays = rays + jnp.sum(lit, dtype=jnp.int32)
             lit = lit & ~shadowed

@@ -1,0 +1,145 @@
+"""The short benchmark of a scene: where a frame's time goes, and what tracing costs.
+
+Times are steady-state: compiled, blocked until ready, medians of repeated runs, all in
+one process. They are never mixed with results.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from ataa_jax import compare, embree, paths, pipeline, reference, sampling
+from ataa_jax import camera as cameras
+from ataa_jax import world as worlds
+from ataa_jax.types import FrameInputs
+
+Row = tuple[str, float, str]
+_REPEATS = 9
+
+
+def run(
+    world: worlds.World,
+    size: tuple[int, int] = (360, 640),
+    camera: str | None = None,
+    budget: float = 0.5,
+) -> list[Row]:
+    """Measures a scene.
+
+    Args:
+        world: the scene.
+        size: image (height, width).
+        camera: a camera's name, or a path, as the command line takes it.
+        budget: sparse primary rays a pixel of the ATAA frame.
+
+    Returns:
+        Name, value and unit of each figure.
+    """
+    path = paths.load(camera or "walk")
+    shot = worlds.sequence(world, path, size)
+    rows = _trace_rate(shot)
+    rows += _frames(shot, budget)
+    rows.append(("peak memory", compare.peak_memory() / 1e9, "GB"))
+    return rows
+
+
+def _median_s(run: Callable[[], Any]) -> float:
+    jax.block_until_ready(run())
+    times = []
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        jax.block_until_ready(run())
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def _trace_rate(shot: worlds.Sequence) -> list[Row]:
+    """Rays a second of the stage's own batches, by packets and by EmbreeScene.run."""
+    world, inputs = shot.world, shot.inputs(0)
+    origin, direction = _stage_rays(inputs, shot.size)
+    transforms = np.asarray(inputs.world_from_group)
+    count = len(origin)
+    jitted = jax.jit(
+        lambda o, d: embree.intersect(world.tracer, inputs.world_from_group, o, d)
+    )
+    on_device = jax.device_put((origin, direction))
+    packet = _median_s(lambda: jitted(*on_device))
+    single = embree.build(world.scene, backend="run")
+    run = _median_s(lambda: single.intersect_numpy(transforms, origin, direction))
+    return [
+        (f"primary rays, {world.tracer.backend} in jit", count / packet / 1e6, "M/s"),
+        ("primary rays, EmbreeScene.run", count / run / 1e6, "M/s"),
+        ("ratio", run / packet, "x"),
+    ]
+
+
+def _stage_rays(
+    inputs: FrameInputs, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The rays of one in sixteen pixels, eight each: a frame at 0.5 rays a pixel."""
+    height, width = size
+    index = np.arange(0, height * width, 16)
+    offsets = sampling.pattern(8)
+    x = ((index % width)[:, None] + 0.5 + offsets[:, 0]).reshape(-1)
+    y = ((index // width)[:, None] + 0.5 + offsets[:, 1]).reshape(-1)
+    direction = cameras.directions(
+        inputs.camera,
+        size,
+        jax.numpy.asarray(x, jax.numpy.float32),
+        jax.numpy.asarray(y, jax.numpy.float32),
+    )
+    array = np.stack([direction.x, direction.y, direction.z], axis=-1)
+    eye = np.asarray(inputs.camera.world_from_view)[:3, 3]
+    return np.broadcast_to(eye, array.shape).copy(), array
+
+
+def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
+    """An ATAA 8x frame that spends its whole budget, against SSAA 8x, stage by stage."""
+    world = shot.world
+    config, params = pipeline.preset(
+        "tuned", world.scene, shot.size, samples=8, budget=budget
+    )
+    jitter = sampling.halton_jitter(
+        config.taa.jitter_length, centred=config.taa.jitter_centred
+    )
+    times: dict[str, list[float]] = {}
+    clock = 0.0
+
+    def observe(stage: str, buffers: Any) -> Any:
+        nonlocal clock
+        jax.block_until_ready(buffers)
+        now = time.perf_counter()
+        times.setdefault(stage, []).append(now - clock)
+        clock = time.perf_counter()
+        return buffers
+
+    # A threshold of 0 makes every pixel ask for rays, so the budget is spent in full.
+    params = pipeline.with_threshold(params, 0.0)
+    state = pipeline.init(shot.size)
+    spent = 0.0
+    for frame in range(_REPEATS + 3):
+        inputs = shot.inputs(frame, jitter[frame % len(jitter)])
+        clock = time.perf_counter()
+        output, state = pipeline.stages(
+            state, inputs, params,
+            scene=world.scene, tracer=world.tracer, config=config, observe=observe,
+        )  # fmt: skip
+        spent = int(output.statistics.primary_rays) / (shot.size[0] * shot.size[1])
+    medians = {stage: 1e3 * float(np.median(t[3:])) for stage, t in times.items()}
+    total = sum(medians.values())
+    inputs = shot.inputs(0)
+    ssaa = 1e3 * _median_s(
+        lambda: reference.supersample(world, inputs, sampling.pattern(8), shot.size)
+    )
+    rows: list[Row] = [("ATAA 8x rays a pixel", spent, "")]
+    rows += [(f"ATAA 8x {stage}", ms, "ms") for stage, ms in medians.items()]
+    rows += [
+        ("ATAA 8x frame", total, "ms"),
+        ("SSAA 8x frame", ssaa, "ms"),
+        ("SSAA 8x over ATAA 8x", ssaa / total, "x"),
+    ]
+    return rows
+
+
