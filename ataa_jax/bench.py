@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from ataa_jax import compare, embree, paths, pipeline, reference, sampling
 from ataa_jax import camera as cameras
+from ataa_jax import compare, embree, paths, pipeline, reference, sampling
 from ataa_jax import world as worlds
 from ataa_jax.types import FrameInputs
 
@@ -56,7 +56,7 @@ def _median_s(run: Callable[[], Any]) -> float:
 
 
 def _trace_rate(shot: worlds.Sequence) -> list[Row]:
-    """Rays a second of the stage's own batches, by packets and by EmbreeScene.run."""
+    """Rays a second of the stage's batches, by packets and by `EmbreeScene.run`."""
     world, inputs = shot.world, shot.inputs(0)
     origin, direction = _stage_rays(inputs, shot.size)
     transforms = np.asarray(inputs.world_from_group)
@@ -96,7 +96,7 @@ def _stage_rays(
 
 
 def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
-    """An ATAA 8x frame that spends its whole budget, against SSAA 8x, stage by stage."""
+    """An ATAA 8x frame that spends its whole budget, by stages, against SSAA 8x."""
     world = shot.world
     config, params = pipeline.preset(
         "tuned", world.scene, shot.size, samples=8, budget=budget
@@ -141,5 +141,3 @@ def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
         ("SSAA 8x over ATAA 8x", ssaa / total, "x"),
     ]
     return rows
-
-

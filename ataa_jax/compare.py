@@ -7,6 +7,7 @@ all else is a function of the input.
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -115,9 +116,7 @@ def check_methods(names: Iterable[str]) -> tuple[str, ...]:
     chosen = tuple(names)
     for name in chosen:
         if name not in METHODS:
-            raise InputError(
-                f"unknown method '{name}'; known are {', '.join(METHODS)}"
-            )
+            raise InputError(f"unknown method '{name}'; known are {', '.join(METHODS)}")
     return chosen
 
 
@@ -173,7 +172,7 @@ def compare(
             index,
             options.reference_samples,
             average=options.average,
-            progress=lambda: step(f"frame {index + 1} of {options.frames}"),
+            progress=partial(step, f"frame {index + 1} of {options.frames}"),
         )
         images[REFERENCE] = np.asarray(colors.display(truth.color))
         _score(result, runners, images, previous, index, np.asarray(truth.thin), drawer)
@@ -193,6 +192,7 @@ class Drawer:
         self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, float]] = {}
 
     def start(self, frame: int) -> None:
+        """Forgets the last frame's buffers."""
         self.frame = frame
         self.drawn.clear()
 
@@ -230,9 +230,11 @@ class Runner:
         self.why: np.ndarray | None = None
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        """Renders a frame; `shares`, `method` and `why` then tell of it."""
         raise NotImplementedError
 
     def record(self, stage: str, milliseconds: float) -> None:
+        """Notes what one stage took."""
         self.times.setdefault(stage, []).append(milliseconds)
 
 
@@ -364,9 +366,7 @@ def runner(name: str, shot: Sequence, options: Options) -> Runner:
         return _Supersampled(name, int(name.removeprefix("ssaa")), options.average)
     kind, _, preset = name.partition("_")
     samples = int(kind.removeprefix("ataa")) if kind.startswith("ataa") else None
-    return _Adaptive(
-        name, shot, options, preset=preset or "tuned", samples=samples
-    )
+    return _Adaptive(name, shot, options, preset=preset or "tuned", samples=samples)
 
 
 def _score(

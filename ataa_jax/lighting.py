@@ -63,9 +63,7 @@ def look(
     # Off the surface by what float32 loses at this distance from the origin.
     scale = np.abs(position).max(initial=0.0) + np.abs(distance).max(initial=0.0)
     position = position + normal * (1e-4 * scale)
-    return VisiblePoints(
-        position.astype(np.float32), normal, distance, direction, hit
-    )
+    return VisiblePoints(position.astype(np.float32), normal, distance, direction, hit)
 
 
 def focus_distance(points: VisiblePoints, fallback: float) -> float:
@@ -136,7 +134,7 @@ def supply(
             lights = [sun]
             notes.append(
                 f"no light in the scene: a sun was supplied, direction "
-                f"{_text(sun.direction)}; it reaches {share:.0%} of what the camera sees"
+                f"{_text(sun.direction)}; it reaches {share:.0%} of what is seen"
             )
         else:
             lights = _indoor_lights(tracer, transforms, points, camera)
@@ -291,7 +289,9 @@ def _bulk(source: SceneSource) -> tuple[np.ndarray, float]:
         order = np.argsort(centre[:, axis])
         share = np.cumsum(area[order]) / max(area.sum(), 1e-30)
         low[axis] = centre[order[np.searchsorted(share, 0.02)], axis]
-        high[axis] = centre[order[min(np.searchsorted(share, 0.98), len(order) - 1)], axis]
+        high[axis] = centre[
+            order[min(np.searchsorted(share, 0.98), len(order) - 1)], axis
+        ]
     radius = float(np.linalg.norm(high - low)) / 2.0
     return (low + high) / 2.0, max(radius, 1e-6)
 

@@ -49,7 +49,7 @@ def psnr(image: np.ndarray, reference: np.ndarray) -> float:
 def mean_squared_error(
     image: np.ndarray, reference: np.ndarray, where: np.ndarray | None = None
 ) -> float:
-    """Returns the mean squared error, over the pixels of `where`; NaN if it is empty."""
+    """Returns the mean squared error, over the pixels of `where`; NaN if empty."""
     squared = np.mean(
         (image.astype(np.float64) - reference.astype(np.float64)) ** 2, axis=-1
     )

@@ -136,9 +136,7 @@ def _yaw(angle: float) -> np.ndarray:
     return Rotation.from_euler("y", -angle).as_matrix()
 
 
-def _keyframed(
-    path: CameraPath, camera: CameraSource, frame: int, time: float
-) -> Pose:
+def _keyframed(path: CameraPath, camera: CameraSource, frame: int, time: float) -> Pose:
     keys = path.keyframes
     at = [key.frame for key in keys]
     clamped = float(np.clip(frame, at[0], at[-1]))
@@ -221,9 +219,7 @@ def _vector(where: object, name: str, value: object) -> tuple[float, float, floa
     return (x, y, z)
 
 
-def _number(
-    where: object, name: str, value: object, low: float, high: float
-) -> float:
+def _number(where: object, name: str, value: object, low: float, high: float) -> float:
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float)

@@ -15,8 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from ataa_jax.fxaa import Config as FxaaConfig
+from ataa_jax.segmentation import Config as SegmentationConfig
+from ataa_jax.taa import Config as TaaConfig
 from jaxtyping import Array, Float, Int
 
+from ataa_jax import color as colors
 from ataa_jax import (
     effects,
     embree,
@@ -28,14 +32,10 @@ from ataa_jax import (
     segmentation,
     taa,
 )
-from ataa_jax import color as colors
 from ataa_jax.errors import InputError
-from ataa_jax.fxaa import Config as FxaaConfig
 from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import Config as RaytraceConfig
-from ataa_jax.segmentation import Config as SegmentationConfig
-from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,

@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
 from ataa_jax import embree, shading, vector
-from ataa_jax.surface import Surface, previous_position
 from ataa_jax.shading import Config as ShadingConfig
+from ataa_jax.surface import Surface, previous_position
 from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Scene
 from ataa_jax.vector import Vec3
 

@@ -177,7 +177,7 @@ def cache_folder() -> Path:
 
 @cache
 def _code_hash() -> str:
-    """Hashes the sources that decide an image, so that an old cache is never believed."""
+    """Hashes the sources that decide an image: an old cache is never believed."""
     digest = hashlib.blake2b(digest_size=16)
     for module in (camera, embree, raster, sampling, shading, surface, texture, vector):
         file = Path(inspect.getfile(module))

@@ -101,9 +101,7 @@ def radiance(
         interpolate(scene.geometry, world_from_group, hits, direction, steps)
     )
     view = vector.materialize(-vector.normalize(direction))
-    material = vector.materialize(
-        _evaluate_material(scene, surface, mip_bias, config)
-    )
+    material = vector.materialize(_evaluate_material(scene, surface, mip_bias, config))
     color, shadow_rays = _direct(
         scene.lights, tracer, world_from_group, surface, material, view, tile, config
     )

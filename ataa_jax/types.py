@@ -97,7 +97,7 @@ class Lights(eqx.Module):
 
 
 class Sky(eqx.Module):
-    """A vertical gradient that lights (as ambient irradiance) and fills the background."""
+    """A vertical gradient: ambient light, and the background."""
 
     zenith: Float[Array, " 3"]  # radiance straight up
     horizon: Float[Array, " 3"]

@@ -111,9 +111,7 @@ class Sequence:
         )
 
 
-def sequence(
-    world: World, path: paths.CameraPath, size: tuple[int, int]
-) -> Sequence:
+def sequence(world: World, path: paths.CameraPath, size: tuple[int, int]) -> Sequence:
     """Binds a world to a camera path and an image size (height, width).
 
     Raises:
@@ -207,6 +205,7 @@ def replace_lights(
 
 def _exposed(packed: types.Scene, exposure: float) -> types.Scene:
     """Multiplies everything that emits by the exposure."""
+
     def parts(s: types.Scene) -> tuple:
         sky = s.sky
         return (

@@ -47,7 +47,8 @@ def test_points_behind_or_beside_the_camera_are_flagged_and_finite():
     )
     x_px, y_px, in_front = camera.project(eye, SIZE, points)
     assert not np.any(in_front)
-    assert np.all(np.isfinite(x_px)) and np.all(np.isfinite(y_px))
+    assert np.all(np.isfinite(x_px))
+    assert np.all(np.isfinite(y_px))
 
 
 def start(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, -1.0)) -> CameraSource:

@@ -37,7 +37,9 @@ def lookup(
     step: float | None = None,
     bias: float = 0.0,
 ) -> np.ndarray:
-    coordinate = Uv(jnp.asarray(uv[:, 0], jnp.float32), jnp.asarray(uv[:, 1], jnp.float32))
+    coordinate = Uv(
+        jnp.asarray(uv[:, 0], jnp.float32), jnp.asarray(uv[:, 1], jnp.float32)
+    )
     ids = jnp.zeros(len(uv), jnp.int32)
     dx = dy = None
     if step is not None:
