@@ -1,7 +1,8 @@
 """A pinhole camera: rays through pixel positions, and projection back to pixels.
 
 Symbols: ``x_px, y_px`` is a position in the image (x right, y down, pixel centres at
-+0.5); a ray's direction has view-space z = −1, so the distance along it *is* linear depth.
++0.5); a ray's direction has view-space z = −1, so that distance along it *is* linear
+depth.
 """
 
 import jax.numpy as jnp

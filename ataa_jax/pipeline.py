@@ -240,7 +240,13 @@ def antialias(
         resolved = observe(
             "resolve",
             resolve.resolve(
-                segmented, color, gbuffer, blended, traced.color, params.resolve
+                segmented.mask,
+                color,
+                blended.color,
+                traced.color,
+                blended.count,
+                gbuffer,
+                params.resolve,
             ),
         )
     with jax.named_scope("fxaa"):
@@ -271,9 +277,7 @@ def antialias(
             raster_shadow_rays=drawn.shadow_rays,
         ),
     )
-    return output, State(
-        history=resolved.history, classification=resolved.classification
-    )
+    return output, resolved.state
 
 
 def _temporal_only(
@@ -294,7 +298,13 @@ def _temporal_only(
     )
     black = jnp.zeros((*size, 3), jnp.float32)
     resolved = resolve.resolve(
-        segmented, drawn.color, drawn.gbuffer, blended, black, params.resolve
+        segmented.mask,
+        drawn.color,
+        blended.color,
+        black,
+        blended.count,
+        drawn.gbuffer,
+        params.resolve,
     )
     output = FrameOutput(
         image=colors.display(resolved.composite),
@@ -314,9 +324,7 @@ def _temporal_only(
             raster_shadow_rays=drawn.shadow_rays,
         ),
     )
-    return output, State(
-        history=resolved.history, classification=resolved.classification
-    )
+    return output, resolved.state
 
 
 def stages(

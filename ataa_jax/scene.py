@@ -5,11 +5,17 @@ NumPy records; `pack` turns it into a `types.Scene`. Nothing here traces a ray.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+import trimesh
 
-from ataa_jax import types
+from ataa_jax import mipmap, types
+from ataa_jax.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -109,3 +115,276 @@ class SceneSource:
     )  # seconds -> float32 (g, 3, 4) world_from_group; [0] is always identity
     duration: float = 0.0  # seconds of authored animation; it loops; 0: nothing moves
     warnings: list[str] = field(default_factory=list)
+
+
+def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
+    """Packs a description into the arrays that shading and tracing read.
+
+    Triangles without area or with corners that are not finite are left out; missing,
+    zero or non-finite normals are replaced by the triangle's own. A BLEND material is
+    packed as a mask with cutoff 0.5.
+
+    Args:
+        source: what a reader found. Its lights may be empty.
+
+    Returns:
+        The scene, object ids being places in `source.meshes`, and what was left out,
+        one sentence each.
+
+    Raises:
+        InputError: no triangle is left.
+    """
+    parts = [_unindexed(mesh) for mesh in source.meshes]
+    dropped = sum(part[3] for part in parts)
+    counts = [len(part[0]) for part in parts]
+    if sum(counts) == 0:
+        raise InputError(
+            f"scene '{source.name}' has no triangles with an area; nothing to draw"
+        )
+    notes = []
+    if dropped:
+        notes.append(f"{dropped} triangles without area or not finite were left out")
+
+    def repeated(values: list[int]) -> jnp.ndarray:
+        return jnp.asarray(np.repeat(values, counts), jnp.int32)
+
+    geometry = types.Geometry(
+        position=jnp.asarray(np.concatenate([part[0] for part in parts])),
+        normal=jnp.asarray(np.concatenate([part[1] for part in parts])),
+        uv=jnp.asarray(np.concatenate([part[2] for part in parts])),
+        material=repeated([mesh.material for mesh in source.meshes]),
+        object=repeated(list(range(len(source.meshes)))),
+        group=repeated([mesh.group for mesh in source.meshes]),
+    )
+    sky = source.sky or SkySource((0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
+    scene = types.Scene(
+        geometry=geometry,
+        materials=_pack_materials(source.materials),
+        textures=_pack_textures(source.textures),
+        lights=pack_lights(source.lights),
+        sky=pack_sky(sky, 1.0),
+    )
+    return scene, notes
+
+
+def pack_lights(lights: list[LightSource]) -> types.Lights:
+    """Packs lights; directions are normalized."""
+
+    def floats(values: list[Any], *shape: int) -> jnp.ndarray:
+        array = np.array(values, np.float64).reshape(len(lights), *shape)
+        return jnp.asarray(array, jnp.float32)
+
+    direction = np.array([x.direction for x in lights], np.float64).reshape(-1, 3)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    return types.Lights(
+        kind=jnp.asarray(np.array([x.kind for x in lights], np.int32)),
+        position=floats([x.position for x in lights], 3),
+        direction=jnp.asarray(direction / np.maximum(length, 1e-30), jnp.float32),
+        intensity=floats([x.intensity for x in lights], 3),
+        range=floats([x.range for x in lights]),
+        cos_inner=floats([np.cos(x.inner_cone_angle) for x in lights]),
+        cos_outer=floats([np.cos(x.outer_cone_angle) for x in lights]),
+    )
+
+
+def pack_sky(sky: SkySource, visibility: float) -> types.Sky:
+    """Packs a sky and the share of it that surfaces see."""
+    return types.Sky(
+        zenith=jnp.asarray(sky.zenith, jnp.float32),
+        horizon=jnp.asarray(sky.horizon, jnp.float32),
+        ground=jnp.asarray(sky.ground, jnp.float32),
+        visibility=jnp.asarray(visibility, jnp.float32),
+    )
+
+
+def load_mesh(path: str | Path) -> SceneSource:
+    """Loads whatever trimesh reads beside glTF: OBJ, PLY, STL and others.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The scene; nothing moves in it, and it has neither lights nor cameras.
+
+    Raises:
+        InputError: the file is missing, of an unknown kind, malformed, or holds no
+            triangles.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"scene {path} does not exist; give the path of a file")
+    suffix = path.suffix.lower().lstrip(".")
+    known = trimesh.available_formats()
+    if suffix not in known:
+        raise InputError(
+            f"scene {path} has the unknown suffix '.{suffix}'; known are .glb, .gltf "
+            f"and {', '.join('.' + name for name in sorted(known))}"
+        )
+    try:
+        loaded = trimesh.load_scene(path)
+        dumped = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh)]
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"scene {path} cannot be read as {suffix}: {reason}; check the file"
+        ) from None
+    materials: list[MaterialSource] = []
+    textures: list[TextureSource] = []
+    meshes: list[MeshSource] = []
+    for index, mesh in enumerate(dumped):
+        if len(mesh.faces) == 0:
+            continue
+        if not np.all(np.isfinite(mesh.vertices)):
+            raise InputError(f"scene {path} has vertices that are not finite numbers")
+        uv = getattr(mesh.visual, "uv", None)
+        materials.append(_mesh_material(mesh, textures))
+        name = str(mesh.metadata.get("name", f"mesh {index}"))
+        meshes.append(
+            MeshSource(
+                name=name,
+                position=np.asarray(mesh.vertices, np.float32),
+                triangles=np.asarray(mesh.faces, np.int32),
+                material=len(materials) - 1,
+                normal=np.asarray(mesh.vertex_normals, np.float32),
+                uv=None if uv is None else _flipped(np.asarray(uv, np.float32)),
+            )
+        )
+    if not meshes:
+        raise InputError(f"scene {path} holds no triangles; nothing to draw")
+    return SceneSource(path.stem, meshes, materials, textures)
+
+
+def _flipped(uv: np.ndarray) -> np.ndarray:
+    """Turns trimesh's v, up from the image's bottom, into glTF's."""
+    return np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=-1)
+
+
+def _mesh_material(
+    mesh: trimesh.Trimesh, textures: list[TextureSource]
+) -> MaterialSource:
+    """Maps trimesh's materials: base colour and its texture, rough and not metallic."""
+    material = getattr(mesh.visual, "material", None)
+    if material is None:
+        color = getattr(mesh.visual, "main_color", None)
+        rgba = (np.full(4, 200) if color is None else np.asarray(color)) / 255.0
+        return _plain(str(mesh.metadata.get("name", "")), rgba, types.NO_TEXTURE)
+    image = getattr(material, "baseColorTexture", None)
+    if image is None:
+        image = getattr(material, "image", None)
+    texture = types.NO_TEXTURE
+    if image is not None:
+        textures.append(TextureSource(np.asarray(image.convert("RGBA")), srgb=True))
+        texture = len(textures) - 1
+    color = getattr(material, "main_color", None)
+    rgba = np.ones(4) if color is None else np.asarray(color) / 255.0
+    if texture != types.NO_TEXTURE:
+        rgba = np.ones(4)
+    return _plain(str(getattr(material, "name", "") or ""), rgba, texture)
+
+
+def _plain(name: str, srgb: np.ndarray, texture: int) -> MaterialSource:
+    r, g, b = (float(channel) for channel in mipmap.decode_srgb(srgb[:3]))
+    return MaterialSource(
+        name=name,
+        base_color=(r, g, b, float(srgb[3])),
+        metallic=0.0,
+        roughness=0.8,
+        double_sided=True,
+        base_color_texture=texture,
+    )
+
+
+def _unindexed(
+    mesh: MeshSource,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Returns corners, unit normals and uv per triangle, and how many were dropped."""
+    corners = np.asarray(mesh.position, np.float32)[mesh.triangles]
+    cross = np.cross(
+        (corners[:, 1] - corners[:, 0]).astype(np.float64),
+        (corners[:, 2] - corners[:, 0]).astype(np.float64),
+    )
+    area = np.linalg.norm(cross, axis=1)
+    keep = np.isfinite(area) & (area > 0.0)
+    flat = (cross[keep] / area[keep][:, None]).astype(np.float32)
+    count = int(keep.sum())
+    if mesh.normal is None:
+        normals = np.repeat(flat[:, None], 3, axis=1)
+    else:
+        with np.errstate(invalid="ignore", over="ignore"):
+            normals = np.asarray(mesh.normal, np.float32)[mesh.triangles[keep]]
+            length = np.linalg.norm(normals, axis=2, keepdims=True)
+            usable = np.isfinite(length) & (length > 0.0)
+            unit = normals / np.where(usable, length, 1.0)
+        normals = np.where(usable, unit, flat[:, None]).astype(np.float32)
+    if mesh.uv is None:
+        uv = np.zeros((count, 3, 2), np.float32)
+    else:
+        uv = np.asarray(mesh.uv, np.float32)[mesh.triangles[keep]]
+        uv = np.where(np.isfinite(uv), uv, np.float32(0.0))
+    return corners[keep], normals, uv, len(keep) - count
+
+
+def _pack_materials(materials: list[MaterialSource]) -> types.Materials:
+    def floats(values: list[Any]) -> jnp.ndarray:
+        return jnp.asarray(np.array(values, np.float32))
+
+    def ids(values: list[int]) -> jnp.ndarray:
+        return jnp.asarray(np.array(values, np.int32))
+
+    blended = [m.alpha_mode == "BLEND" for m in materials]
+    return types.Materials(
+        base_color=floats([m.base_color for m in materials]),
+        metallic=floats([m.metallic for m in materials]),
+        roughness=floats([m.roughness for m in materials]),
+        emissive=floats([m.emissive for m in materials]),
+        normal_scale=floats([m.normal_scale for m in materials]),
+        alpha_cutoff=floats(
+            [
+                0.5 if blend else m.alpha_cutoff
+                for m, blend in zip(materials, blended, strict=True)
+            ]
+        ),
+        alpha_masked=jnp.asarray(
+            np.array([m.alpha_mode in ("MASK", "BLEND") for m in materials], bool)
+        ),
+        double_sided=jnp.asarray(np.array([m.double_sided for m in materials], bool)),
+        base_color_texture=ids([m.base_color_texture for m in materials]),
+        metallic_roughness_texture=ids(
+            [m.metallic_roughness_texture for m in materials]
+        ),
+        normal_texture=ids([m.normal_texture for m in materials]),
+        emissive_texture=ids([m.emissive_texture for m in materials]),
+    )
+
+
+def _pack_textures(sources: list[TextureSource]) -> types.Textures:
+    """Builds the mip pyramids on all cores and lays them out in one array."""
+    sources = sources or [TextureSource(np.full((1, 1, 4), 255, np.uint8), srgb=False)]
+    with ThreadPoolExecutor() as pool:
+        pyramids = list(pool.map(lambda s: mipmap.pyramid(s.texels, s.srgb), sources))
+    levels = max(len(pyramid) for pyramid in pyramids)
+    offset = np.zeros((len(sources), levels), np.int32)
+    height, width = np.zeros_like(offset), np.zeros_like(offset)
+    flat: list[np.ndarray] = []
+    start = 0
+    for row, pyramid in enumerate(pyramids):
+        for level in range(levels):
+            if level < len(pyramid):
+                texels = pyramid[level]
+                flat.append(texels.reshape(-1))
+                offset[row, level] = start
+                height[row, level], width[row, level] = texels.shape
+                start += texels.size
+            else:
+                for table in (offset, height, width):
+                    table[row, level] = table[row, level - 1]
+    return types.Textures(
+        texels=jnp.asarray(np.concatenate(flat)),
+        level_offset=jnp.asarray(offset),
+        level_height=jnp.asarray(height),
+        level_width=jnp.asarray(width),
+        level_count=jnp.asarray(np.array([len(p) for p in pyramids], np.int32)),
+        wrap_u=jnp.asarray(np.array([s.wrap_u for s in sources], np.int32)),
+        wrap_v=jnp.asarray(np.array([s.wrap_v for s in sources], np.int32)),
+        srgb=jnp.asarray(np.array([s.srgb for s in sources], bool)),
+    )

@@ -7,7 +7,7 @@ over n, and the code reads like the equations.
 """
 
 import math
-from typing import TypeVar, Union
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -15,11 +15,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 T = TypeVar("T")
-Scalar = Union[Float[Array, " n"], Float[Array, ""], float]  # noqa: UP007
+Scalar = Float[Array, "..."] | float
 
 
 class Vec3(eqx.Module):
-    """Three components, each (n,) or (); arithmetic is componentwise."""
+    """Three components of one shape; arithmetic is componentwise."""
 
     x: Float[Array, "..."]
     y: Float[Array, "..."]

@@ -1,0 +1,213 @@
+"""Writing results: whole folders or nothing, and bytes that depend on the input alone.
+
+A command renders into a hidden folder inside the output folder; only when it is
+complete are the files moved to their places, and what an earlier run had left there is
+removed. `MANIFEST.txt` lists what a run wrote, so that a later run knows what is its
+own; a folder that holds other files and no manifest is refused.
+
+No file carries a time, a host or a path: equal input gives equal bytes.
+"""
+
+import csv
+import io
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ataa_jax.errors import InputError
+
+MANIFEST = "MANIFEST.txt"
+_PARTIAL = ".ataa-partial-"
+
+Cell = str | int | float
+
+
+@contextmanager
+def output_folder(out: Path) -> Iterator[Path]:
+    """Yields a folder to write into, whose files appear in `out` when all is done.
+
+    Args:
+        out: where the results shall lie; made if absent.
+
+    Yields:
+        A hidden folder inside `out`, removed with all its files if the block fails.
+
+    Raises:
+        InputError: `out` cannot be written, or holds files that no earlier run wrote.
+    """
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _refuse_foreign(out)
+        partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=out))
+    except OSError as error:
+        raise InputError(
+            f"output folder {out} cannot be written ({error.strerror}); give another "
+            "with --out"
+        ) from None
+    try:
+        yield partial
+        _publish(partial, out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        for folder in missing:  # deepest first; only those that stayed empty
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def _refuse_foreign(out: Path) -> None:
+    held = [
+        entry for entry in sorted(out.iterdir()) if not entry.name.startswith(_PARTIAL)
+    ]
+    if held and not (out / MANIFEST).is_file():
+        raise InputError(
+            f"output folder {out} holds files of another origin, {held[0].name} among "
+            "them; give an empty or a new folder with --out"
+        )
+
+
+def _publish(partial: Path, out: Path) -> None:
+    """Removes what an earlier run wrote, then moves the new files into place."""
+    written = sorted(
+        file.relative_to(partial).as_posix()
+        for file in partial.rglob("*")
+        if file.is_file()
+    )
+    write_text(partial / MANIFEST, "".join(f"{name}\n" for name in written))
+    for name in _listed(out):
+        (out / name).unlink(missing_ok=True)
+        for folder in (out / name).parents:
+            if folder == out:
+                break
+            with suppress(OSError):
+                folder.rmdir()
+    for name in (*written, MANIFEST):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (partial / name).replace(out / name)
+
+
+def _listed(out: Path) -> list[str]:
+    """Returns the files of an earlier run, leaving out names that leave the folder."""
+    try:
+        names = (out / MANIFEST).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    inside = out.resolve()
+    return [
+        name for name in names if name and (out / name).resolve().is_relative_to(inside)
+    ]
+
+
+@contextmanager
+def atomic(file: Path) -> Iterator[Path]:
+    """Yields a temporary name beside `file` that becomes `file` if the block succeeds.
+
+    The name keeps the suffix, by which some writers choose their format.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.stem}.part{file.suffix}")
+    try:
+        yield part
+        part.replace(file)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Writes UTF-8 text with Unix line ends."""
+    with atomic(file) as part:
+        part.write_bytes(text.encode("utf-8"))
+
+
+def write_bytes(file: Path, data: bytes) -> None:
+    """Writes bytes."""
+    with atomic(file) as part:
+        part.write_bytes(data)
+
+
+def write_csv(
+    file: Path, header: Sequence[str], rows: Iterable[Sequence[Cell]]
+) -> None:
+    """Writes a CSV table; numbers must come formatted where their digits matter."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_text(file, buffer.getvalue())
+
+
+def png(image: np.ndarray | Image.Image) -> bytes:
+    """Encodes 8-bit RGB, RGBA or grey as PNG, without any metadata."""
+    picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def write_png(file: Path, image: np.ndarray | Image.Image) -> None:
+    """Writes 8-bit RGB, RGBA or grey as PNG."""
+    write_bytes(file, png(image))
+
+
+def write_exr(file: Path, color: np.ndarray) -> None:
+    """Writes linear radiance as a ZIP-compressed OpenEXR file.
+
+    Args:
+        file: where to.
+        color: (h, w, 3), linear with the primaries of sRGB; stored as 32-bit floats.
+    """
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {"RGB": np.ascontiguousarray(color, np.float32)}
+    with atomic(file) as part, OpenEXR.File(header, channels) as image:
+        image.write(str(part))
+
+
+def write_video(file: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Writes frames as H.264 in MP4, bit-exact for one version of the encoder.
+
+    Odd sizes are padded by a row or a column of black, as 4:2:0 chroma asks for.
+
+    Args:
+        file: where to.
+        frames: uint8 (h, w, 3), at least one, all of one size.
+        fps: frames a second.
+    """
+    import imageio_ffmpeg
+
+    iterator = iter(frames)
+    first = next(iterator)
+    with atomic(file) as part:
+        writer = imageio_ffmpeg.write_frames(
+            str(part),
+            (first.shape[1], first.shape[0]),
+            fps=fps,
+            codec="libx264",
+            quality=None,
+            macro_block_size=1,
+            output_params=[
+                *("-crf", "14", "-preset", "medium", "-threads", "1"),
+                *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"),
+                *("-fflags", "+bitexact", "-flags:v", "+bitexact"),
+                *("-map_metadata", "-1", "-movflags", "+faststart"),
+            ],
+        )
+        writer.send(None)
+        try:
+            writer.send(np.ascontiguousarray(first))
+            for frame in iterator:
+                writer.send(np.ascontiguousarray(frame))
+        finally:
+            writer.close()
+
+
+def decimals(value: float, digits: int) -> str:
+    """Formats a number for a file: fixed digits, `nan` and `inf` as such, never −0."""
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0.0 else text

@@ -1,0 +1,100 @@
+"""Mip pyramids of 8-bit RGBA images, filtered in linear light.
+
+Each level is the box filter of the one above: every texel is the mean of the area that
+it covers, also for odd sizes, where a texel covers two and a fraction. Colour is
+weighted by alpha, so that the colour behind a hole does not bleed into its rim.
+"""
+
+import numpy as np
+
+_CODES = np.arange(256, dtype=np.float32) / np.float32(255.0)
+
+
+def decode_srgb(x: np.ndarray) -> np.ndarray:
+    """Decodes sRGB values in [0, 1] (IEC 61966-2-1)."""
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
+def encode_srgb(x: np.ndarray) -> np.ndarray:
+    """Encodes linear values in [0, 1] as sRGB."""
+    safe = np.maximum(x, 0.0031308)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * safe ** (1 / 2.4) - 0.055)
+
+
+_DECODE = decode_srgb(_CODES).astype(np.float32)
+
+# Linear value → sRGB code, finely enough that the code is right to half a step except
+# in the darkest few, where 65,536 entries leave an error of at most one code.
+_ENCODE = np.round(encode_srgb(np.linspace(0.0, 1.0, 65536)) * 255.0).astype(np.uint8)
+
+
+def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
+    """Builds all levels down to 1×1.
+
+    Args:
+        texels: uint8 (h, w, 4).
+        srgb: RGB is sRGB-encoded; alpha never is.
+
+    Returns:
+        Packed levels, uint32 (h_k, w_k), r | g << 8 | b << 16 | a << 24; the first is
+        exactly the image.
+    """
+    levels = [_pack(texels)]
+    if max(texels.shape[:2]) == 1:
+        return levels
+    alpha = _CODES[texels[..., 3:]]
+    color = (_DECODE if srgb else _CODES)[texels[..., :3]]
+    opaque = bool(np.all(texels[..., 3] == 255))
+    image = color if opaque else np.concatenate([color * alpha, alpha], axis=-1)
+    # Where all is transparent there is no weight: keep the plain mean of the colour.
+    plain = None if opaque else color
+    while max(image.shape[:2]) > 1:
+        image = _halve(_halve(image, 0), 1)
+        if opaque:
+            color, alpha = image, np.ones((*image.shape[:2], 1), np.float32)
+        else:
+            assert plain is not None
+            plain = _halve(_halve(plain, 0), 1)
+            alpha = image[..., 3:]
+            solid = alpha > 1e-4
+            color = np.where(
+                solid, image[..., :3] / np.where(solid, alpha, 1.0), plain
+            )
+        levels.append(_pack(_to_codes(color, alpha, srgb)))
+    return levels
+
+
+def _halve(image: np.ndarray, axis: int) -> np.ndarray:
+    """Box-filters one axis to floor(n / 2) texels (at least 1)."""
+    extent = image.shape[axis]
+    if extent == 1:
+        return image
+    x = np.moveaxis(image, axis, 0)
+    half = extent // 2
+    if extent % 2 == 0:
+        mean = (x[0::2] + x[1::2]) * np.float32(0.5)
+    else:
+        # Texel k of n covers [k, k+1)·extent/n: weights shift along the row
+        # (Guthe and Heckbert, "Non-power-of-two mipmaps", 2005).
+        k = np.arange(half, dtype=np.float32).reshape(-1, *(1,) * (x.ndim - 1))
+        n = np.float32(half)
+        mean = (
+            x[0:-1:2][:half] * ((n - k) / extent)
+            + x[1::2][:half] * (n / extent)
+            + x[2::2][:half] * ((k + 1) / extent)
+        )
+    return np.ascontiguousarray(np.moveaxis(mean, 0, axis), np.float32)
+
+
+def _to_codes(color: np.ndarray, alpha: np.ndarray, srgb: bool) -> np.ndarray:
+    color = np.clip(color, 0.0, 1.0)
+    if srgb:
+        rgb = _ENCODE[(color * np.float32(65535.0) + np.float32(0.5)).astype(np.int32)]
+    else:
+        rgb = (color * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+    a = (np.clip(alpha, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+    return np.concatenate([rgb, a], axis=-1)
+
+
+def _pack(texels: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(texels, np.uint8).view("<u4")[..., 0].astype(np.uint32)

@@ -1,0 +1,115 @@
+"""Parameters as TOML: what a fit found, or a user's own numbers.
+
+A file holds only what it changes; all else keeps the preset's value. Tables are the
+stages, keys the fields of their `Params`:
+
+    budget = 0.5           # rays a pixel of the frame
+
+    [taa]
+    blend = 0.2
+
+    [segmentation]
+    threshold = 0.08
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import tomli_w
+
+from ataa_jax import files
+from ataa_jax.errors import InputError
+from ataa_jax.pipeline import Params
+
+
+def load(file: Path, params: Params) -> Params:
+    """Returns parameters with the file's numbers in place of the given ones.
+
+    Args:
+        file: TOML, see the module.
+        params: the preset's.
+
+    Raises:
+        InputError: the file cannot be read, is not TOML, names an unknown parameter,
+            or holds something else than finite numbers of the parameter's shape
+            (`budget` may be inf).
+    """
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"parameter file {file} cannot be read ({error.strerror}); give the name "
+            "of an existing TOML file"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"parameter file {file} is not valid TOML: {error}") from None
+    return _override(params, table, f"parameter file {file}", "")
+
+
+def save(params: Params, file: Path) -> None:
+    """Writes every parameter, so that `load` gives back the same bits."""
+    files.write_text(file, tomli_w.dumps(_table(params)))
+
+
+def _table(module: eqx.Module) -> dict[str, Any]:
+    """Returns a module as nested tables; numbers come before tables, as TOML asks."""
+    leaves, tables = {}, {}
+    for name, value in _fields(module).items():
+        if isinstance(value, eqx.Module):
+            tables[name] = _table(value)
+        else:
+            leaves[name] = _plain(np.asarray(value))
+    return {**leaves, **tables}
+
+
+def _plain(array: np.ndarray) -> Any:
+    if array.ndim > 0:
+        return [_plain(item) for item in array]
+    if np.issubdtype(array.dtype, np.floating):
+        # The shortest decimals that read back as the same float32.
+        return float(np.format_float_positional(array[()], unique=True))
+    return array.item()
+
+
+def _override(module: Any, table: dict[str, Any], where: str, path: str) -> Any:
+    fields = _fields(module)
+    for name, value in table.items():
+        full = f"{path}{name}"
+        if name not in fields:
+            raise InputError(
+                f"{where} has the unknown key '{full}'; known are "
+                f"{', '.join(f'{path}{known}' for known in fields)}"
+            )
+        old = fields[name]
+        if isinstance(old, eqx.Module):
+            if not isinstance(value, dict):
+                raise InputError(f"{where}: '{full}' must be a table, as in [{full}]")
+            new = _override(old, value, where, f"{full}.")
+        else:
+            new = _leaf(old, value, where, full)
+        module = eqx.tree_at(lambda m, name=name: getattr(m, name), module, new)
+    return module
+
+
+def _leaf(old: Any, value: object, where: str, name: str) -> Any:
+    shape, dtype = np.shape(old), np.asarray(old).dtype
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        array = None
+    boolean = isinstance(value, bool | str | dict)
+    if array is None or boolean or array.shape != shape:
+        wanted = "a number" if not shape else f"{shape[0]} numbers in brackets"
+        raise InputError(f"{where}: '{name}' must be {wanted}, not {value!r}")
+    if np.any(np.isnan(array)) or (name != "budget" and not np.all(np.isfinite(array))):
+        raise InputError(f"{where}: '{name}' must be finite, not {value!r}")
+    return jnp.asarray(array.astype(dtype))
+
+
+def _fields(module: eqx.Module) -> dict[str, Any]:
+    names = module.__dataclass_fields__
+    return {name: getattr(module, name) for name in names}

@@ -1,0 +1,110 @@
+"""Sparse rays: the same shading as supersampling, at the asked-for pixels only."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ataa_jax import color, effects, embree, raster, raytrace, sampling
+from tests import frames, tiny
+
+SIZE = (20, 36)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    cube = replace(tiny.cube(1.0, (0.4, 0.5, 0.0)), material=1)
+    materials = [tiny.Material(), tiny.Material((0.9, 0.3, 0.1, 1.0), roughness=0.4)]
+    light = tiny.Light(direction=(-0.6, -0.64, -0.48))
+    return tiny.scene([tiny.floor(20.0), cube], materials, lights=[light])
+
+
+@pytest.fixture(scope="module")
+def tracer(scene):
+    return embree.build(scene)
+
+
+def trace(scene, tracer, traced, samples=8, chunk=2048) -> raytrace.RaytraceOutput:
+    config = raytrace.Config(
+        samples=samples, chunk=chunk, shading=effects.required(scene)
+    )
+    return raytrace.raytrace(
+        scene,
+        frames.inputs((2.0, 1.5, 4.0)),
+        jnp.asarray(traced),
+        tracer=tracer,
+        config=config,
+    )
+
+
+def supersampled(scene, tracer, samples) -> np.ndarray:
+    """The same pattern by full-screen raster passes at mip level 0."""
+    config = raster.Config(
+        size=SIZE, mip_maps=False, shading=effects.required(scene)
+    )
+    passes = [
+        color.tonemap(
+            raster.raster(
+                scene,
+                frames.inputs((2.0, 1.5, 4.0), jitter=tuple(offset)),
+                raster.default_params(),
+                tracer=tracer,
+                config=config,
+            ).color
+        )
+        for offset in sampling.pattern(samples).tolist()
+    ]
+    return np.asarray(color.inverse_tonemap(sum(passes) / len(passes)))
+
+
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_every_pixel_traced_equals_supersampling(scene, tracer, samples):
+    found = trace(scene, tracer, np.ones(SIZE, bool), samples)
+    expected = supersampled(scene, tracer, samples)
+    # Another order of summation; rays differ in the last bit of their directions.
+    close = np.isclose(found.color, expected, rtol=1e-4, atol=1e-5).all(axis=-1)
+    assert close.mean() > 0.995
+    assert int(found.primary_rays) == SIZE[0] * SIZE[1] * samples
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 64, 720, 100_000])
+def test_the_capacity_changes_nothing(scene, tracer, chunk):
+    rng = np.random.default_rng(0)
+    traced = rng.random(SIZE) < 0.1
+    found = trace(scene, tracer, traced, chunk=chunk)
+    expected = trace(scene, tracer, traced, chunk=256)
+    # A pixel's packet neighbours change with the chunk, its rays do not.
+    np.testing.assert_allclose(found.color, expected.color, rtol=1e-5, atol=1e-6)
+    assert int(found.primary_rays) == traced.sum() * 8
+    assert int(found.shadow_rays) == int(expected.shadow_rays)
+
+
+def test_pixels_not_asked_for_stay_black_and_cost_nothing(scene, tracer):
+    none = trace(scene, tracer, np.zeros(SIZE, bool))
+    assert int(none.primary_rays) == 0
+    assert int(none.shadow_rays) == 0
+    np.testing.assert_array_equal(none.color, 0.0)
+    one = np.zeros(SIZE, bool)
+    one[11, 17] = True
+    found = np.asarray(trace(scene, tracer, one).color)
+    assert np.all(found[11, 17] > 0.0)
+    np.testing.assert_array_equal(found[~one], 0.0)
+
+
+def test_counts_of_pixels_do_not_compile_anew(scene, tracer):
+    trace(scene, tracer, np.zeros(SIZE, bool))
+    before = raytrace.raytrace._cache_size()
+    for count in (1, 5, 200, 720):
+        traced = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE) < count
+        trace(scene, tracer, traced)
+    assert raytrace.raytrace._cache_size() == before
+
+
+def test_jit_equals_eager(scene, tracer):
+    traced = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE) % 37 == 0
+    jitted = trace(scene, tracer, traced, chunk=8)
+    with jax.disable_jit():
+        eager = trace(scene, tracer, traced, chunk=8)
+    np.testing.assert_allclose(jitted.color, eager.color, rtol=1e-4, atol=1e-5)
