@@ -1,0 +1,277 @@
+"""Materials, samplers and images (glTF 2.0, sections 3.8 and 3.9)."""
+
+import io
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ataa_jax import types
+from ataa_jax.gltf.container import Container, short
+from ataa_jax.scene import MaterialSource, TextureSource
+
+MAX_IMAGE_TEXELS = 1 << 26  # 8192 x 8192
+MAX_TEXELS = 1 << 29  # of all images together: 2 GiB as RGBA8
+
+_WRAPS = {
+    10497: types.WRAP_REPEAT,
+    33071: types.WRAP_CLAMP,
+    33648: types.WRAP_MIRROR,
+}
+_IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class UvMap:
+    """Which texture coordinates a material reads, and how they are transformed."""
+
+    set: int = 0  # the n of TEXCOORD_n
+    matrix: tuple[tuple[float, float, float], ...] = _IDENTITY  # on (u, v, 1)
+
+    def apply(self, uv: np.ndarray) -> np.ndarray:
+        """Returns the transformed coordinates, float32 (v, 2)."""
+        if self.matrix == _IDENTITY:
+            return uv
+        matrix = np.array(self.matrix)
+        return (uv @ matrix[:, :2].T + matrix[:, 2]).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Materials:
+    """All materials of the file, glTF's default one last, and their textures."""
+
+    sources: list[MaterialSource]
+    textures: list[TextureSource]
+    uv_maps: list[UvMap | None]  # per material; None: it has no texture
+
+
+def read_materials(container: Container) -> Materials:
+    """Reads every material and decodes every image that one of them uses."""
+    library = _Library(container)
+    sources = []
+    uv_maps = []
+    for index, record in enumerate(container.items("materials")):
+        source, uv_map = _material(container, library, record, f"materials[{index}]")
+        sources.append(source)
+        uv_maps.append(uv_map)
+    sources.append(MaterialSource(name="default"))
+    uv_maps.append(None)
+    return Materials(sources, library.textures, uv_maps)
+
+
+def _material(
+    container: Container, library: "_Library", record: dict[str, Any], where: str
+) -> tuple[MaterialSource, UvMap | None]:
+    pbr = container.table(record, "pbrMetallicRoughness", where)
+    pbr_where = f"{where}.pbrMetallicRoughness"
+    name = container.string(record, "name", where) or where
+
+    found: list[UvMap] = []
+
+    def texture(owner: dict[str, Any], key: str, owner_where: str, srgb: bool) -> int:
+        if key not in owner:
+            return types.NO_TEXTURE
+        info = container.table(owner, key, owner_where)
+        at = f"{owner_where}.{key}"
+        index = library.texture(info.get("index"), srgb, at)
+        if index != types.NO_TEXTURE:
+            found.append(_uv_map(container, info, at))
+        return index
+
+    base_color_texture = texture(pbr, "baseColorTexture", pbr_where, True)
+    metallic_roughness_texture = texture(
+        pbr, "metallicRoughnessTexture", pbr_where, False
+    )
+    normal_texture = texture(record, "normalTexture", where, False)
+    emissive_texture = texture(record, "emissiveTexture", where, True)
+    if len(set(found)) > 1:
+        container.warn(
+            f"material {short(name)}: its textures use different texture coordinates "
+            "or transforms; those of the first are used for all"
+        )
+
+    alpha_mode = container.string(record, "alphaMode", where, "OPAQUE")
+    if alpha_mode not in ("OPAQUE", "MASK", "BLEND"):
+        raise container.fail(
+            f"{where}.alphaMode is {short(alpha_mode)}, but must be OPAQUE, MASK or "
+            "BLEND; correct it or re-export the file"
+        )
+    strength_record = container.extension(
+        record, "KHR_materials_emissive_strength", where
+    )
+    strength = (
+        1.0
+        if strength_record is None
+        else container.number(
+            strength_record, "emissiveStrength", f"{where}.extensions", 1.0
+        )
+    )
+    emissive = container.numbers(record, "emissiveFactor", 3, where, (0.0, 0.0, 0.0))
+    r, g, b, a = container.numbers(
+        pbr, "baseColorFactor", 4, pbr_where, (1.0, 1.0, 1.0, 1.0)
+    )
+    normal = container.table(record, "normalTexture", where)
+    source = MaterialSource(
+        name=name,
+        base_color=(_unit(r), _unit(g), _unit(b), _unit(a)),
+        metallic=_unit(container.number(pbr, "metallicFactor", pbr_where, 1.0)),
+        roughness=_unit(container.number(pbr, "roughnessFactor", pbr_where, 1.0)),
+        emissive=(
+            _radiance(emissive[0] * strength),
+            _radiance(emissive[1] * strength),
+            _radiance(emissive[2] * strength),
+        ),
+        normal_scale=container.number(normal, "scale", f"{where}.normalTexture", 1.0),
+        alpha_mode=alpha_mode,
+        alpha_cutoff=container.number(record, "alphaCutoff", where, 0.5),
+        double_sided=record.get("doubleSided", False) is True,
+        base_color_texture=base_color_texture,
+        metallic_roughness_texture=metallic_roughness_texture,
+        normal_texture=normal_texture,
+        emissive_texture=emissive_texture,
+    )
+    return source, found[0] if found else None
+
+
+def _unit(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+def _radiance(value: float) -> float:
+    return min(max(value, 0.0), 1e30)  # stays finite in float32
+
+
+def _uv_map(container: Container, info: dict[str, Any], where: str) -> UvMap:
+    uv_set = container.integer(info, "texCoord", where, 0)
+    transform = container.extension(info, "KHR_texture_transform", where)
+    if transform is None:
+        return UvMap(uv_set)
+    where = f"{where}.extensions.KHR_texture_transform"
+    uv_set = container.integer(transform, "texCoord", where, uv_set)
+    tx, ty = container.numbers(transform, "offset", 2, where, (0.0, 0.0))
+    sx, sy = container.numbers(transform, "scale", 2, where, (1.0, 1.0))
+    angle = container.number(transform, "rotation", where, 0.0)
+    c, s = math.cos(angle), math.sin(angle)
+    # The extension's T R S; with v down, R turns counter-clockwise as it is seen.
+    return UvMap(uv_set, ((c * sx, s * sy, tx), (-s * sx, c * sy, ty)))
+
+
+class _Library:
+    """Textures by what makes them differ, and images by where they are stored."""
+
+    def __init__(self, container: Container) -> None:
+        self.textures: list[TextureSource] = []
+        self._container = container
+        self._indices: dict[tuple[Any, ...], int] = {}
+        self._images: dict[tuple[str, Any], np.ndarray] = {}
+        self._texels = 0
+
+    def texture(self, index: Any, srgb: bool, user: str) -> int:
+        """Returns the place in `textures` of ``textures[index]`` of the file."""
+        container = self._container
+        record = container.item("textures", index, user)
+        where = f"textures[{index}]"
+        if "source" not in record:
+            container.warn(
+                f"{where} has no PNG or JPEG image; the materials that use it are "
+                "drawn without"
+            )
+            return types.NO_TEXTURE
+        key, texels = self._image(record["source"], where)
+        wrap_u, wrap_v = self._wraps(record, where)
+        full_key = (*key, srgb, wrap_u, wrap_v)
+        if full_key not in self._indices:
+            self._indices[full_key] = len(self.textures)
+            self.textures.append(TextureSource(texels, srgb, wrap_u, wrap_v))
+        return self._indices[full_key]
+
+    def _wraps(self, record: dict[str, Any], where: str) -> tuple[int, int]:
+        if "sampler" not in record:
+            return types.WRAP_REPEAT, types.WRAP_REPEAT
+        container = self._container
+        sampler = container.item("samplers", record["sampler"], where)
+        where = f"samplers[{record['sampler']}]"
+        wraps = []
+        for key in ("wrapS", "wrapT"):
+            code = container.integer(sampler, key, where, 10497)
+            if code not in _WRAPS:
+                raise container.fail(
+                    f"{where}.{key} is {code}, but must be 10497, 33071 or 33648; "
+                    "re-export the file"
+                )
+            wraps.append(_WRAPS[code])
+        return wraps[0], wraps[1]
+
+    def _image(self, index: Any, user: str) -> tuple[tuple[str, Any], np.ndarray]:
+        container = self._container
+        record = container.item("images", index, user)
+        where = f"images[{index}]"
+        if "uri" in record:
+            key = ("uri", container.string(record, "uri", where))
+        elif "bufferView" in record:
+            view = record["bufferView"]
+            container.check_index(
+                view,
+                len(container.items("bufferViews")),
+                f"{where} refers to bufferViews[{short(view)}]",
+            )
+            key = ("view", view)
+        else:
+            raise container.fail(
+                f"{where} has neither `uri` nor `bufferView`; re-export the file"
+            )
+        if key not in self._images:
+            if key[0] == "uri":
+                data = container.fetch(key[1], where)
+            else:
+                data = bytes(container.view(key[1], where)[0])
+            self._images[key] = self._decode(data, where)
+        return key, self._images[key]
+
+    def _decode(self, data: bytes, where: str) -> np.ndarray:
+        container = self._container
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # sizes are checked below
+                image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+        except Exception as error:  # decoders raise whatever they like
+            raise container.fail(_undecodable(where, error)) from None
+        width, height = image.size
+        self._texels += width * height
+        if width * height > MAX_IMAGE_TEXELS or self._texels > MAX_TEXELS:
+            raise container.fail(
+                f"{where} is {width}x{height} texels, beyond the "
+                f"{MAX_IMAGE_TEXELS} of an image or the {MAX_TEXELS} of all images "
+                "together; scale the textures down"
+            )
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return _rgba(image)
+        except Exception as error:
+            raise container.fail(_undecodable(where, error)) from None
+
+
+def _undecodable(where: str, error: Exception) -> str:
+    reason = str(error)
+    if isinstance(error, Image.UnidentifiedImageError):
+        reason = "not recognized"  # Pillow's own words name a Python object
+    elif isinstance(error, Image.DecompressionBombError):
+        reason = f"larger than {MAX_IMAGE_TEXELS} texels"
+    return (
+        f"{where} is not a readable PNG or JPEG ({reason or type(error).__name__}); "
+        "save the image again"
+    )
+
+
+def _rgba(image: Image.Image) -> np.ndarray:
+    """Returns uint8 (height, width, 4); 16-bit grey rounds to 8 bits."""
+    if image.mode.startswith("I"):
+        grey = np.asarray(image).astype(np.int64)
+        grey = ((np.clip(grey, 0, 65535) + 128) // 257).astype(np.uint8)
+        opaque = np.full_like(grey, 255)
+        return np.stack([grey, grey, grey, opaque], axis=-1)
+    return np.array(image.convert("RGBA"))
