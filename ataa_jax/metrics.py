@@ -104,8 +104,8 @@ def flip(image: np.ndarray, reference: np.ndarray) -> float:
     import flip_evaluator
 
     _, mean, _ = flip_evaluator.evaluate(
-        np.ascontiguousarray(reference, np.float32),
-        np.ascontiguousarray(image, np.float32),
+        np.array(reference, np.float32, order="C"),  # it wants to own what it reads
+        np.array(image, np.float32, order="C"),
         "LDR",
         inputsRGB=True,
         applyMagma=False,

@@ -430,6 +430,11 @@ def with_threshold(params: Params, threshold: float) -> Params:
     )
 
 
+def with_taa(params: Params, numbers: taa.Params) -> Params:
+    """Returns the parameters with other numbers for the TAA stage."""
+    return eqx.tree_at(lambda p: p.taa, params, numbers)
+
+
 def with_cut(inputs: FrameInputs, cut: bool) -> FrameInputs:
     """Returns the inputs with the camera-cut flag set or cleared."""
     return eqx.tree_at(lambda i: i.cut, inputs, jnp.asarray(cut))

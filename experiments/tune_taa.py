@@ -1,0 +1,147 @@
+"""Tunes TAA for quality alone, before ATAA is looked at.
+
+A grid over blend weight, mip bias, history filter and rectifier, on a moving and a
+still sequence of every scene; the score is the mean SSIM against the reference. The
+best of the grid is `taa.PRESETS["tuned"]` and `pipeline.MIP_BIAS["tuned"]`.
+
+    python experiments/tune_taa.py            # writes experiments/results/tune_taa.csv
+"""
+
+import argparse
+import csv
+import itertools
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import scenes
+
+from ataa_jax import color as colors
+from ataa_jax import metrics, pipeline, raster, reference, sampling, taa
+from ataa_jax import world as worlds
+
+WEIGHTS = (0.05, 0.1, 0.2, 0.3)
+MIP_BIASES = (0.0, -1.0, -2.0)
+FILTERS = ("bilinear", "catmull_rom")
+RECTIFIERS = (
+    ("none", 1.0),
+    ("clamp", 1.0),
+    ("clip", 1.0),
+    ("variance_clip", 1.0),
+    ("variance_clip", 1.5),
+)
+SCORED = 3  # the last frames of each sequence
+
+
+def grid() -> list[tuple[str, taa.Config, taa.Params]]:
+    """Returns the grid's members that share one raster sequence, and UE4's."""
+    base, _ = taa.PRESETS["tuned"]
+    members = []
+    for weight, name, (rectify, gamma) in itertools.product(
+        WEIGHTS, FILTERS, RECTIFIERS
+    ):
+        config = replace(base, history_filter=name, rectify=rectify)  # pyright: ignore[reportArgumentType]
+        label = f"{weight},{name},{rectify},{gamma}"
+        members.append((label, config, taa.params(weight, variance_gamma=gamma)))
+    return members
+
+
+def scores(
+    shot: worlds.Sequence, mip_bias: float, frames: int, truth: list[np.ndarray]
+) -> dict[str, float]:
+    """Runs every member over one raster sequence."""
+    config, params = pipeline.preset("tuned", shot.world.scene, shot.size)
+    jitter = sampling.halton_jitter(
+        config.taa.jitter_length, centred=config.taa.jitter_centred
+    )
+    drawn = [
+        raster.raster(
+            shot.world.scene,
+            shot.inputs(index, jitter[index % len(jitter)]),
+            raster.default_params(mip_bias),
+            tracer=shot.world.tracer,
+            config=config.raster,
+        )
+        for index in range(frames)
+    ]
+    found = {}
+    for label, taa_config, taa_params in grid():
+        plain = replace(config, adaptive=False, taa=taa_config)
+        state = pipeline.init(shot.size)
+        ssim = []
+        for index, out in enumerate(drawn):
+            inputs = shot.inputs(index, jitter[index % len(jitter)])
+            output, state = pipeline.antialias(
+                state,
+                out,
+                inputs,
+                pipeline.with_taa(params, taa_params),
+                scene=shot.world.scene,
+                tracer=shot.world.tracer,
+                config=plain,
+            )
+            if index >= frames - SCORED:
+                image = np.asarray(output.image)
+                ssim.append(metrics.ssim(image, truth[index - frames + SCORED]))
+        found[label] = float(np.mean(ssim))
+    return found
+
+
+def main() -> None:
+    """Runs the grid and writes the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", default="480x270")
+    parser.add_argument("--frames", type=int, default=16)
+    parser.add_argument("--reference-samples", type=int, default=64)
+    options = parser.parse_args()
+    width, height = (int(part) for part in options.size.split("x"))
+    table: dict[tuple[float, str], dict[str, float]] = defaultdict(dict)
+    for name in scenes.available():
+        world = scenes.load(name)
+        for kind in ("walk", "still"):
+            shot = scenes.shot(world, kind, size=(height, width))
+            truth = [
+                np.asarray(
+                    colors.display(
+                        jnp.asarray(
+                            reference.reference(
+                                shot, index, options.reference_samples
+                            ).color
+                        )
+                    )
+                )
+                for index in range(options.frames - SCORED, options.frames)
+            ]
+            for mip_bias in MIP_BIASES:
+                found = scores(shot, mip_bias, options.frames, truth)
+                for label, ssim in found.items():
+                    table[mip_bias, label][f"{name}/{kind}"] = ssim
+                best = max(found, key=lambda label: found[label])
+                print(f"{name}/{kind} bias {mip_bias}: {best} {found[best]:.4f}")
+    write(table)
+
+
+def write(table: dict[tuple[float, str], dict[str, float]]) -> None:
+    """Writes every member, best first."""
+    file = Path(__file__).parent / "results" / "tune_taa.csv"
+    file.parent.mkdir(exist_ok=True)
+    columns = sorted(next(iter(table.values())))
+    rows = sorted(
+        table.items(), key=lambda item: -float(np.mean(list(item[1].values())))
+    )
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        head = ["mip_bias", "weight", "filter", "rectifier", "gamma", "mean"]
+        writer.writerow([*head, *columns])
+        for (bias, label), row in rows:
+            mean = float(np.mean(list(row.values())))
+            values = [f"{row[column]:.5f}" for column in columns]
+            writer.writerow([bias, *label.split(","), f"{mean:.5f}", *values])
+    bias, label = rows[0][0]
+    print(f"best: mip bias {bias}, {label}")
+
+
+if __name__ == "__main__":
+    main()
