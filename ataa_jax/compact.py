@@ -26,9 +26,7 @@ def compact(
     rank, count = _ranks(mask.reshape(-1))
     slot = jnp.where(mask.reshape(-1), rank, pixels)  # h·w: dropped by the scatter
     indices = jnp.full((pixels,), pixels, jnp.int32)
-    indices = indices.at[slot].set(
-        jnp.arange(pixels, dtype=jnp.int32), mode="drop"
-    )
+    indices = indices.at[slot].set(jnp.arange(pixels, dtype=jnp.int32), mode="drop")
     return indices, count
 
 

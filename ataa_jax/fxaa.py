@@ -1,17 +1,18 @@
-"""FXAA 3.11 quality (Lottes), at the pixels that ask for it (paper, section 3).
+"""FXAA stage: FXAA 3.11 quality on the display-referred image (paper, section 3).
 
-The paper runs FXAA on the tone-mapped image at disoccluded pixels only, so that its
-cost falls with their number. `fxaa_at` evaluates a batch of pixels; `fxaa` (full
-screen, the baseline) and `fxaa_sparse` (masked, in chunks) both call it.
+"FXAA" is Lottes's filter (2009; version 3.11 of 2011, quality path): on the luma of
+a tone-mapped, sRGB-encoded image it finds the direction of an edge, walks along it both
+ways to its ends, and moves the sample across the edge by up to half a pixel. It runs at
+the pixels that the mask gives it; the rest pass unchanged.
 
-Symbols: M is the pixel, N S E W and the corners its neighbours' lumas; *range* is the
-largest minus the smallest of the cross. An edge runs along the axis across which the
-second differences are smaller; both its ends are searched for in growing steps, half a
-pixel off the pixel's centre toward the steeper side.
+Symbols: M is the pixel's luma, N, S, W, E and the corners its neighbours'. The *pair*
+is the pixel and the neighbour across the edge. Positions are in index units, integers
+are pixel centres. Border rule of every read: clamp to edge.
 """
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -19,14 +20,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import color as colors
-from ataa_jax import compact, vector
-from ataa_jax.vector import Vec3
+from ataa_jax import compact, window
 
-# Search steps in pixels (FXAA 3.11, FXAA_QUALITY__P0 …), by preset.
+# Lengths of the search's steps, px (FXAA 3.11, FXAA_QUALITY__P0 and following).
 STEPS: dict[int, tuple[float, ...]] = {
     12: (1.0, 1.5, 2.0, 4.0, 12.0),
-    29: (1.0, 1.5, *(2.0,) * 8, 4.0, 8.0),
-    39: (*(1.0,) * 5, 1.5, *(2.0,) * 4, 4.0, 8.0),
+    29: (1.0, 1.5, *[2.0] * 8, 4.0, 8.0),
+    39: (*[1.0] * 5, 1.5, *[2.0] * 4, 4.0, 8.0),
 }
 
 
@@ -34,58 +34,52 @@ STEPS: dict[int, tuple[float, ...]] = {
 class Config:
     """Choices that change the program."""
 
-    preset: int = 39  # 12: medium dither (UE4's default class), 39: extreme quality
-    # our choice: the unused tail of the last chunk stays under 2 % of a 640×360 frame.
-    chunk: int = 4096
+    preset: Literal[12, 29, 39] = 39  # our choice: the paper names none; the best
+    # Pixels a pass of the sparse loop. our choice: a few passes at 5 % of 1080p, and a
+    # mostly empty last pass costs a third of a millisecond.
+    chunk: int = 8192
 
 
 class Params(eqx.Module):
-    """Lottes's tuning knobs."""
+    """Numbers one may sweep or fit."""
 
-    subpixel: Float[Array, ""]
-    edge_threshold: Float[Array, ""]
-    edge_threshold_min: Float[Array, ""]
+    subpix: Float[Array, ""]  # 0: leave single-pixel features alone; 1: soften most
+    edge_threshold: Float[Array, ""]  # contrast, relative to the brightest of the cross
+    edge_threshold_min: Float[Array, ""]  # and absolute, for dark areas
 
 
-def default_params() -> Params:
-    """Returns FXAA 3.11's "high quality" values."""
+def default_params(
+    subpix: float = 0.75,  # FXAA 3.11's defaults, all three
+    edge_threshold: float = 0.166,
+    edge_threshold_min: float = 0.0833,
+) -> Params:
+    """Returns FXAA 3.11's default parameters."""
     return Params(
-        subpixel=jnp.asarray(0.75, jnp.float32),
-        edge_threshold=jnp.asarray(0.125, jnp.float32),
-        edge_threshold_min=jnp.asarray(0.0625, jnp.float32),
+        subpix=jnp.asarray(subpix, jnp.float32),
+        edge_threshold=jnp.asarray(edge_threshold, jnp.float32),
+        edge_threshold_min=jnp.asarray(edge_threshold_min, jnp.float32),
     )
 
 
-@partial(jax.jit, static_argnames=("config",))
+@partial(jax.jit, static_argnames="config")
 def fxaa(
     image: Float[Array, "h w 3"], params: Params, *, config: Config
 ) -> Float[Array, "h w 3"]:
-    """Filters the whole image.
+    """Filters every pixel.
 
     Args:
-        image: display-referred sRGB in [0, 1].
-        params: Lottes's knobs.
-        config: the preset.
+        image: sRGB in [0, 1].
+        params: thresholds.
+        config: search steps and chunk size.
 
     Returns:
-        The filtered image, sRGB.
+        sRGB in [0, 1].
     """
-    height, width, _ = image.shape
-    index = jnp.arange(height * width, dtype=jnp.int32)
-    channels = vector.unstack(image.reshape(-1, 3))
-    found = fxaa_at(
-        channels,
-        vector.materialize(colors.luma(image).reshape(-1)),
-        index // width,
-        index % width,
-        (height, width),
-        params,
-        config=config,
-    )
-    return vector.stack(found).reshape(image.shape)
+    everywhere = jnp.ones(image.shape[:2], jnp.bool_)
+    return fxaa_sparse(image, everywhere, params, config=config)
 
 
-@partial(jax.jit, static_argnames=("config",))
+@partial(jax.jit, static_argnames="config")
 def fxaa_sparse(
     image: Float[Array, "h w 3"],
     needed: Bool[Array, "h w"],
@@ -93,171 +87,222 @@ def fxaa_sparse(
     *,
     config: Config,
 ) -> Float[Array, "h w 3"]:
-    """Filters the pixels of a mask; the rest pass unchanged and cost nothing.
+    """Filters the pixels asked for; the others pass unchanged, bit by bit.
+
+    The cost falls with the pixels asked for that show an edge; no count of them
+    compiles anew.
 
     Args:
-        image: display-referred sRGB in [0, 1].
+        image: sRGB in [0, 1]. Neighbours are read from it, filtered or not.
         needed: the pixels to filter.
-        params: Lottes's knobs.
-        config: preset and capacity of a chunk.
+        params: thresholds.
+        config: search steps and chunk size.
 
     Returns:
-        The image with those pixels filtered, from the unfiltered image throughout.
+        sRGB in [0, 1].
     """
-    height, width, _ = image.shape
+    luma = colors.luma(image)
+    _, is_edge = _contrast(window.neighbours(window.border(luma)), params)
+    indices, count = compact.compact(needed & is_edge)
+    height, width = needed.shape
     pixels = height * width
     chunk = min(config.chunk, pixels)
-    indices, count = compact.compact(needed)
-    padding = -pixels % chunk
-    indices = jnp.concatenate([indices, jnp.full((padding,), pixels, jnp.int32)])
-    flat = image.reshape(-1, 3)
-    channels = vector.materialize(vector.unstack(flat))
-    luma = vector.materialize(colors.luma(flat))
+    padding = jnp.full((-pixels % chunk,), pixels, jnp.int32)
+    indices = jnp.concatenate([indices, padding])
 
-    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        done, out = carry
+    def filter_chunk(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, output = carry
         index = jax.lax.dynamic_slice(indices, (done,), (chunk,))
-        inside = jnp.minimum(index, pixels - 1)
-        found = fxaa_at(
-            channels,
-            luma,
-            inside // width,
-            inside % width,
-            (height, width),
-            params,
-            config=config,
+        inside = jnp.minimum(index, pixels - 1)  # the fill reads the last pixel
+        filtered = fxaa_at(
+            image, luma, inside // width, inside % width, params, config=config
         )
-        return done + chunk, out.at[index].set(vector.stack(found), mode="drop")
+        return done + chunk, output.at[index].set(filtered, mode="drop")
 
-    start = jnp.zeros((), jnp.int32), flat
-    _, out = jax.lax.while_loop(lambda carry: carry[0] < count, body, start)
-    return out.reshape(image.shape)
+    carry = (jnp.zeros((), jnp.int32), image.reshape(-1, 3))
+    _, output = jax.lax.while_loop(lambda c: c[0] < count, filter_chunk, carry)
+    return output.reshape(height, width, 3)
 
 
 def fxaa_at(
-    image: Vec3,
-    luma: Float[Array, " p"],
+    image: Float[Array, "h w 3"],
+    luma: Float[Array, "h w"],
     row: Int[Array, " n"],
     column: Int[Array, " n"],
-    size: tuple[int, int],
     params: Params,
     *,
     config: Config,
-) -> Vec3:
-    """Filters single pixels of an image.
+) -> Float[Array, "n 3"]:
+    """Returns the filtered colour of a batch of pixels.
 
     Args:
-        image: all pixels' channels, row-major, sRGB.
-        luma: all pixels' perceptual luma.
-        row: the pixels to filter.
-        column: their columns.
-        size: the image's (height, width).
-        params: Lottes's knobs.
-        config: the preset.
+        image: sRGB in [0, 1].
+        luma: its luma.
+        row: pixels inside the image.
+        column: likewise.
+        params: thresholds.
+        config: search steps.
 
     Returns:
-        The filtered colours. Border rule: reads clamp to edge.
+        sRGB; the pixel's own colour where its cross has too little contrast.
     """
-    height, width = size
-
-    def at(down: int, right: int) -> Float[Array, " n"]:
-        r = jnp.clip(row + down, 0, height - 1)
-        c = jnp.clip(column + right, 0, width - 1)
-        return luma.at[r * width + c].get(mode="promise_in_bounds")
-
-    m = at(0, 0)
-    n, s, e, w = at(-1, 0), at(1, 0), at(0, 1), at(0, -1)
-    nw, ne, sw, se = at(-1, -1), at(-1, 1), at(1, -1), at(1, 1)
-    m, n, s, e, w, nw, ne, sw, se = vector.materialize((m, n, s, e, w, nw, ne, sw, se))
-    highest = jnp.maximum(jnp.maximum(jnp.maximum(n, s), jnp.maximum(e, w)), m)
-    lowest = jnp.minimum(jnp.minimum(jnp.minimum(n, s), jnp.minimum(e, w)), m)
-    extent = highest - lowest
-    limit = jnp.maximum(params.edge_threshold_min, highest * params.edge_threshold)
-    flat = extent < limit
-    # An edge is horizontal where luma changes most from row to row.
-    across_rows = (
-        2.0 * jnp.abs(n + s - 2.0 * m)
-        + jnp.abs(ne + se - 2.0 * e)
-        + jnp.abs(nw + sw - 2.0 * w)
+    cross = tuple(
+        tuple(_texel(luma, row + r, column + c) for c in (-1, 0, 1)) for r in (-1, 0, 1)
     )
-    across_columns = (
-        2.0 * jnp.abs(w + e - 2.0 * m)
-        + jnp.abs(nw + ne - 2.0 * n)
-        + jnp.abs(sw + se - 2.0 * s)
+    span, is_edge = _contrast(cross, params)
+    horizontal = _is_horizontal(cross)
+    subpixel = _subpixel_shift(cross, span) * params.subpix
+    ((_, n, _), (w, m, e), (_, s, _)) = cross
+    first, second = jnp.where(horizontal, n, w), jnp.where(horizontal, s, e)
+    gradient_first, gradient_second = jnp.abs(first - m), jnp.abs(second - m)
+    toward_first = gradient_first >= gradient_second
+    sign = jnp.where(toward_first, -1.0, 1.0)
+    pair_luma = 0.5 * (jnp.where(toward_first, first, second) + m)
+    gradient = jnp.maximum(gradient_first, gradient_second)
+    shift = _edge_shift(
+        luma, row, column, horizontal, sign, pair_luma, 0.25 * gradient, m, config
     )
-    horizontal = across_rows >= across_columns
-    before = jnp.where(horizontal, n, w)
-    after = jnp.where(horizontal, s, e)
-    gradient_before, gradient_after = jnp.abs(before - m), jnp.abs(after - m)
-    toward_before = gradient_before >= gradient_after
-    gradient = jnp.maximum(gradient_before, gradient_after)
-    side = jnp.where(toward_before, -1.0, 1.0)
-    edge_luma = 0.5 * (jnp.where(toward_before, before, after) + m)
-    horizontal, side, edge_luma, gradient, extent = vector.materialize(
-        (horizontal, side, edge_luma, gradient, extent)
-    )
+    offset = jnp.maximum(shift, subpixel) * sign
+    at_row = row.astype(jnp.float32) + jnp.where(horizontal, offset, 0.0)
+    at_column = column.astype(jnp.float32) + jnp.where(horizontal, 0.0, offset)
+    moved = _bilinear(image, at_row, at_column)
+    own = image[row, column]
+    return jnp.where(is_edge[:, None], moved, own)
 
-    # Positions in pixel-index units, half a pixel toward the steeper side.
-    y = row.astype(jnp.float32) + jnp.where(horizontal, 0.5 * side, 0.0)
-    x = column.astype(jnp.float32) + jnp.where(horizontal, 0.0, 0.5 * side)
-    step_y = jnp.where(horizontal, 0.0, 1.0)
-    step_x = jnp.where(horizontal, 1.0, 0.0)
 
-    def luma_at(distance: Float[Array, " n"]) -> Float[Array, " n"]:
-        return _bilinear(luma, y + distance * step_y, x + distance * step_x, size)
+def _contrast(
+    nine: tuple[tuple[Array, ...], ...], params: Params
+) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
+    """Returns (luma range of the cross M, N, S, W, E, whether it is an edge)."""
+    ((_, n, _), (w, m, e), (_, s, _)) = nine
+    high = jnp.maximum(m, jnp.maximum(jnp.maximum(n, s), jnp.maximum(w, e)))
+    low = jnp.minimum(m, jnp.minimum(jnp.minimum(n, s), jnp.minimum(w, e)))
+    span = high - low
+    limit = jnp.maximum(params.edge_threshold_min, high * params.edge_threshold)
+    # Also not where all is equal: thresholds of 0 must not divide by a range of 0.
+    return span, (span >= limit) & (span > 0.0)
 
-    def search(direction: float) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """Walks until the luma leaves the edge's mean by a quarter of its gradient."""
-        distance = jnp.zeros_like(m)
-        end = jnp.zeros_like(m)
-        done = jnp.zeros_like(flat)
-        for step in STEPS[config.preset]:
-            distance = jnp.where(done, distance, distance + step)
-            end = jnp.where(done, end, luma_at(direction * distance) - edge_luma)
-            done = jnp.abs(end) >= 0.25 * gradient
-            distance, end, done = vector.materialize((distance, end, done))
-        return distance, end
 
-    negative, end_negative = search(-1.0)
-    positive, end_positive = search(1.0)
-    nearest = jnp.minimum(negative, positive)
-    end = jnp.where(negative < positive, end_negative, end_positive)
-    good = (end < 0.0) != (m - edge_luma < 0.0)
-    along = 0.5 - nearest / (negative + positive)
-    edge_offset = jnp.where(good, along, 0.0)
+def _is_horizontal(nine: tuple[tuple[Array, ...], ...]) -> Bool[Array, " n"]:
+    """Compares second differences across rows and across columns, middle ones twice."""
+    ((nw, n, ne), (w, m, e), (sw, s, se)) = nine
 
-    cross, corners = n + s + e + w, nw + ne + sw + se
-    blur = jnp.abs((2.0 * cross + corners) * (1.0 / 12.0) - m)
-    blur = jnp.clip(blur / jnp.where(extent > 0.0, extent, 1.0), 0.0, 1.0)
-    smooth = blur * blur * (3.0 - 2.0 * blur)
-    subpixel_offset = smooth * smooth * params.subpixel
-    offset = jnp.where(flat, 0.0, jnp.maximum(edge_offset, subpixel_offset)) * side
-    at_y = row.astype(jnp.float32) + jnp.where(horizontal, offset, 0.0)
-    at_x = column.astype(jnp.float32) + jnp.where(horizontal, 0.0, offset)
-    at_y, at_x = vector.materialize((at_y, at_x))
-    return Vec3(
-        *(_bilinear(c, at_y, at_x, size) for c in (image.x, image.y, image.z))
-    )
+    def bend(a: Array, b: Array, c: Array) -> Array:
+        return jnp.abs(a - 2.0 * b + c)
+
+    across_rows = bend(nw, w, sw) + 2.0 * bend(n, m, s) + bend(ne, e, se)
+    across_columns = bend(nw, n, ne) + 2.0 * bend(w, m, e) + bend(sw, s, se)
+    return across_rows >= across_columns
+
+
+def _subpixel_shift(
+    nine: tuple[tuple[Array, ...], ...], span: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Returns (s²(3 − 2s))², s = sat(|mean of the neighbours − M| / range).
+
+    The mean is (2·cross + corners)/12: how much the pixel stands out alone.
+    """
+    ((nw, n, ne), (w, m, e), (sw, s, se)) = nine
+    mean = (2.0 * (n + s + w + e) + nw + ne + sw + se) * (1.0 / 12.0)
+    lone = jnp.clip(jnp.abs(mean - m) / jnp.where(span > 0.0, span, 1.0), 0.0, 1.0)
+    smooth = lone * lone * (3.0 - 2.0 * lone)
+    return smooth * smooth
+
+
+def _edge_shift(
+    luma: Float[Array, "h w"],
+    row: Int[Array, " n"],
+    column: Int[Array, " n"],
+    horizontal: Bool[Array, " n"],
+    sign: Float[Array, " n"],
+    pair_luma: Float[Array, " n"],
+    limit: Float[Array, " n"],
+    m: Float[Array, " n"],
+    config: Config,
+) -> Float[Array, " n"]:
+    """Walks along the edge both ways; returns the shift across it, px, in [0, ½].
+
+    The walk reads half-way between the pair's two rows (or columns). An end is where
+    that luma leaves the pair's mean by a quarter of the gradient; at the nearer end,
+    if it lies on the other side of the mean than M, the shift is ½ − distance / span.
+    """
+    steps = STEPS[config.preset]
+    # The two rows (columns) that every tap averages, as the first and second texel.
+    across = jnp.where(sign < 0.0, -1, 0)
+
+    def tap(along: float) -> Array:
+        return _between(luma, row, column, horizontal, across, along) - pair_luma
+
+    def walk(direction: float) -> tuple[Array, Array]:
+        distance = steps[0]
+        end = tap(direction * distance)
+        reached = jnp.full(end.shape, distance, jnp.float32)
+        done = jnp.abs(end) >= limit
+        for index, step in enumerate(steps[1:], start=1):
+            distance += step
+            reached = jnp.where(done, reached, distance)
+            if index + 1 == len(steps):
+                break  # the last step only lengthens the span; nothing is read there
+            end = jnp.where(done, end, tap(direction * distance))
+            done = done | (jnp.abs(end) >= limit)
+        return reached, end
+
+    back, end_back = walk(-1.0)
+    forth, end_forth = walk(1.0)
+    m_below = m < pair_luma
+    nearer_back = back < forth
+    nearest_end = jnp.where(nearer_back, end_back, end_forth)
+    good = (nearest_end < 0.0) != m_below
+    shift = 0.5 - jnp.minimum(back, forth) / (back + forth)
+    return jnp.where(good, shift, 0.0)
+
+
+def _between(
+    luma: Float[Array, "h w"],
+    row: Int[Array, " n"],
+    column: Int[Array, " n"],
+    horizontal: Bool[Array, " n"],
+    across: Int[Array, " n"],
+    along: float,
+) -> Float[Array, " n"]:
+    """Reads luma half-way between two rows (columns), `along` px along them.
+
+    A bilinear tap whose fractions are known: ½ across, and along 0 or ½.
+    """
+    whole = int(along // 1.0)
+    columns = (whole,) if along == whole else (whole, whole + 1)
+    total = jnp.zeros(row.shape, jnp.float32)
+    for side in (0, 1):
+        for step in columns:
+            r = row + jnp.where(horizontal, across + side, step)
+            c = column + jnp.where(horizontal, step, across + side)
+            total = total + _texel(luma, r, c)
+    return total * (0.5 / len(columns))
+
+
+def _texel(
+    plane: Float[Array, "h w"], row: Int[Array, " n"], column: Int[Array, " n"]
+) -> Float[Array, " n"]:
+    """Returns texels, clamped to edge."""
+    height, width = plane.shape
+    r, c = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+    return window.read(plane, r * width + c)
 
 
 def _bilinear(
-    channel: Float[Array, " p"],
-    y: Float[Array, " n"],
-    x: Float[Array, " n"],
-    size: tuple[int, int],
-) -> Float[Array, " n"]:
-    """Reads between pixel centres, at whole indices exactly; clamps to edge."""
-    height, width = size
-    y = jnp.clip(y, 0.0, height - 1.0)
-    x = jnp.clip(x, 0.0, width - 1.0)
-    y0, x0 = jnp.floor(y), jnp.floor(x)
-    fy, fx = y - y0, x - x0
-    r0, c0 = y0.astype(jnp.int32), x0.astype(jnp.int32)
-    r1, c1 = jnp.minimum(r0 + 1, height - 1), jnp.minimum(c0 + 1, width - 1)
+    image: Float[Array, "h w 3"], row: Float[Array, " n"], column: Float[Array, " n"]
+) -> Float[Array, "n 3"]:
+    """Returns the image at positions in index units, clamped to edge."""
+    height, width = image.shape[:2]
+    texels = image.reshape(-1, 3)
+    f_row = (row - jnp.floor(row))[:, None]
+    f_column = (column - jnp.floor(column))[:, None]
+    r0, r1 = (window.floor_index(row + k, height) * width for k in (0, 1))
+    c0, c1 = (window.floor_index(column + k, width) for k in (0, 1))
 
-    def read(r: Array, c: Array) -> Array:
-        return channel.at[r * width + c].get(mode="promise_in_bounds")
+    def texel(index: Array) -> Array:
+        return texels.at[index].get(mode="promise_in_bounds")
 
-    top = read(r0, c0) + (read(r0, c1) - read(r0, c0)) * fx
-    low = read(r1, c0) + (read(r1, c1) - read(r1, c0)) * fx
-    return top + (low - top) * fy
+    upper = texel(r0 + c0) * (1.0 - f_column) + texel(r0 + c1) * f_column
+    lower = texel(r1 + c0) * (1.0 - f_column) + texel(r1 + c1) * f_column
+    return upper * (1.0 - f_row) + lower * f_row

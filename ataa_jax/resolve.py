@@ -1,14 +1,17 @@
-"""Resolve: per pixel the colour of its method, and what the next frame will read.
+"""Resolve stage: one colour a pixel, and what the next frame will read (Figure 2).
 
-The composite takes TAA's colour, the traced colour, or the raw colour where the pixel
-is new. It is fed back as the history (paper, section 5: "by feeding our supersampled
-results back into the TAA buffer"); FXAA comes after it and is only shown.
+FXAA's pixels take the raw sample, for FXAA runs later, on the display-referred image,
+and its output is never stored; TAA's take the TAA result; ATAA's the traced colour.
+The history stores exactly this composite: traced pixels feed the next frame's TAA
+(paper, section 5).
 """
+
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, UInt
+from jaxtyping import Array, Float
 
 from ataa_jax import color as colors
 from ataa_jax.types import (
@@ -17,70 +20,88 @@ from ataa_jax.types import (
     Classification,
     GBuffer,
     History,
-    State,
+    Segmentation,
 )
 
 
 class Params(eqx.Module):
     """Numbers one may sweep or fit."""
 
-    traced_count: Float[Array, ""]  # frames that a traced pixel counts for
+    traced_count: Float[Array, ""]  # frames that a traced colour counts as
+
+
+def default_params(
+    # our choice: one frame, like any other; only "accumulate" blending reads it.
+    traced_count: float = 1.0,
+) -> Params:
+    """Returns the parameters."""
+    return Params(traced_count=jnp.asarray(traced_count, jnp.float32))
+
+
+@runtime_checkable
+class Blended(Protocol):
+    """What is read of the TAA stage's output."""
+
+    @property
+    def color(self) -> Float[Array, "h w 3"]:
+        """Linear radiance."""
+        ...
+
+    @property
+    def count(self) -> Float[Array, "h w"]:
+        """Frames accumulated in `color`."""
+        ...
 
 
 class ResolveOutput(eqx.Module):
-    """The composite, and the state of the next frame."""
+    """The composite, and the two halves of the next frame's state."""
 
     composite: Float[Array, "h w 3"]  # linear
-    state: State
-
-
-def default_params() -> Params:
-    """Returns the defaults."""
-    # our choice: a traced colour is as good as eight jittered frames, the least number
-    # of rays at the paper's best setting; only young histories look at the count.
-    return Params(traced_count=jnp.asarray(8.0, jnp.float32))
+    history: History
+    classification: Classification
 
 
 @jax.jit
 def resolve(
-    mask: UInt[Array, "h w"],
-    raw: Float[Array, "h w 3"],
-    taa: Float[Array, "h w 3"],
-    traced: Float[Array, "h w 3"],
-    count: Float[Array, "h w"],
+    segmented: Segmentation,
+    color: Float[Array, "h w 3"],
     gbuffer: GBuffer,
+    blended: Blended,
+    traced: Float[Array, "h w 3"],
     params: Params,
 ) -> ResolveOutput:
     """Composes the frame by the mask.
 
     Args:
-        mask: packed, method in the low 16 bits.
-        raw: raster colour, linear: shown where the pixel is new.
-        taa: TAA's colour, linear.
-        traced: traced colour, linear; read at ATAA pixels only.
-        count: frames in TAA's colour.
-        gbuffer: depth and motion go into the history.
-        params: numbers.
+        segmented: the mask, within the ray budget.
+        color: linear raw raster colour.
+        gbuffer: handed on to the history.
+        blended: the TAA result.
+        traced: linear colour of the traced pixels; not read elsewhere.
+        params: what a traced pixel counts as.
 
     Returns:
-        The composite, free of NaN and infinities, and the next frame's state: the
-        history stores exactly the composite.
+        Composite and state. NaN, inf and negative radiance end here, whichever
+        source they come from.
     """
-    method = mask & jnp.uint32(0xFFFF)
-    is_new = (method == METHOD_FXAA)[..., None]
-    is_traced = (method == METHOD_ATAA)[..., None]
-    composite = jnp.where(is_new, raw, jnp.where(is_traced, traced, taa))
-    composite = colors.sanitize(composite)
-    count = jnp.where(method == METHOD_FXAA, 1.0, count)
-    count = jnp.where(method == METHOD_ATAA, jnp.maximum(count, params.traced_count), count)
-    history = History(
-        color=composite,
-        depth=gbuffer.depth,
-        motion=gbuffer.motion,
-        count=count,
-        valid=jnp.asarray(True),
+    method = segmented.mask & jnp.uint32(0xFFFF)
+    is_fxaa, is_ataa = method == METHOD_FXAA, method == METHOD_ATAA
+    composite = colors.sanitize(
+        jnp.where(
+            is_fxaa[..., None],
+            color,
+            jnp.where(is_ataa[..., None], traced, blended.color),
+        )
     )
+    count = jnp.where(is_ataa, params.traced_count, blended.count)
     return ResolveOutput(
         composite=composite,
-        state=State(history=history, classification=Classification(mask=mask)),
+        history=History(
+            color=composite,
+            depth=gbuffer.depth,
+            motion=gbuffer.motion,
+            count=jnp.where(is_fxaa, 1.0, count),
+            valid=jnp.asarray(True),
+        ),
+        classification=Classification(mask=segmented.mask),
     )

@@ -1,22 +1,17 @@
-"""Segmentation: where TAA will fail, and why (paper, section 3).
+"""Segmentation stage: where TAA will fail, and why (paper, section 3).
 
-In the paper's order, each test overriding those after it:
+Per pixel, in the paper's order, an antialiasing method is chosen:
 
-1. motion vectors tell what was occluded or outside the view: FXAA;
-2. the classification history keeps a pixel whose criteria fired lately traced for the
-   next few frames, unless its motion vector changed significantly: ATAA;
-3. the temporal change of luminance in a small neighbourhood, and
-4. the magnitude of a 3×3 Sobel filter on depth, weighted equally, against a threshold:
-   ATAA where they pass it, else TAA.
+1. motion vectors: no previous position, or one where something else was seen, is
+   FXAA's and overrides all that follows;
+2. classification history: a pixel traced of late stays traced for some frames;
+3. temporal change of luminance, of 3×3 means;
+4. change of depth, a 3×3 Sobel filter of inverse depth;
+   3 and 4 weigh equally; together against a threshold they *fire*: the pixel is ATAA's.
 
-Symbols: L is the luma of the tone-mapped colour and m its 3×3 mean; z is linear depth.
-
-    luminance = |m(L) − m(L_history)| / max(m(L), m(L_history))
-    depth     = |Sobel(1/z)| / (8 · largest 1/z of the 3×3)
-
-Both lie in [0, 1] and do not change with the scene's scale: 8 is the largest response
-of the kernel to values in [0, 1] along one axis, so a step between a surface and the
-sky gives 1 at a straight edge.
+What passes no test is TAA's. Symbols: m is a pixel's motion vector (previous − current
+position, px), m′ the previous frame's at the reprojected pixel, z linear depth.
+Border rule of every 3×3 and of every history read: clamp to edge.
 """
 
 from dataclasses import dataclass
@@ -29,7 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from ataa_jax import color as colors
-from ataa_jax import _w as window
+from ataa_jax import compact, vector, window
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -42,90 +37,96 @@ from ataa_jax.types import (
     WHY_OVER_BUDGET,
     WHY_RESET,
     GBuffer,
-    History,
     Segmentation,
     State,
 )
-from ataa_jax.vector import materialize
 
-MAX_HOLD = 0xFFFF  # the classification history has sixteen bits
+_HOLD_MAX = 65535  # 16 bits: the counter saturates, it never wraps
 
 
 @dataclass(frozen=True)
 class Config:
-    """Choices that change the program; each criterion can be switched off."""
+    """Choices that change the program; the switches are for ablations."""
 
-    use_disocclusion: bool = True  # off: only what was off-screen gets FXAA
-    use_history: bool = True
+    # sum: the weighted mean of both terms against one threshold ("weighted equally");
+    # either: one term over its own threshold is enough.
+    reading: Literal["sum", "either"] = "sum"
+    use_disocclusion: bool = True  # False: only pixels without a previous position
+    depth_disocclusion: bool = False  # also compare with the previous frame's depth
+    use_history: bool = True  # False: nothing is held
     use_luminance: bool = True
     use_depth: bool = True
-    # "Depth and temporal luminance are weighted equally": their weighted mean against
-    # one threshold, or either one against it.
-    reading: Literal["sum", "either"] = "sum"
-    # `pixel`: the previous motion at the reprojected pixel, as the paper says.
-    # `neighbourhood`: the closest of the 3×3 around it, and only where the previous
-    # surface was nearer than this one. our choice: a wire that jitter hits in one frame
-    # and misses in the next is no disocclusion, yet its motion differs from the sky's.
-    disocclusion: Literal["pixel", "neighbourhood"] = "neighbourhood"
 
 
 class Params(eqx.Module):
     """Numbers one may sweep or fit."""
 
-    luminance_weight: Float[Array, ""]
-    depth_weight: Float[Array, ""]
-    threshold: Float[Array, ""]
-    luminance_floor: Float[Array, ""]  # tone-mapped luma below which nothing changes
-    disocclusion_px: Float[Array, ""]  # motion difference that means another surface
-    disocclusion_ratio: Float[Array, ""]  # the same, as a share of the motion
-    nearer_ratio: Float[Array, ""]  # previous depth below this share of ours: in front
-    reset_px: Float[Array, ""]  # motion difference that resets the history
-    hold: Int[Array, ""]  # frames for which a pixel stays traced after it fired
+    threshold: Float[Array, ""]  # reading "sum": fires above it, in [0, 1]
+    luminance_threshold: Float[Array, ""]  # reading "either"
+    depth_threshold: Float[Array, ""]  # reading "either"
+    luminance_weight: Float[Array, ""]  # at least 0
+    depth_weight: Float[Array, ""]  # at least 0
+    luminance_floor: Float[Array, ""]  # tone-mapped luma under which change is noise
+    disocclusion_px: Float[Array, ""]  # |m − m′| that says: something else was there
+    disocclusion_relative: Float[Array, ""]  # and this share of the longer of the two
+    depth_relative: Float[Array, ""]  # depth test: how much nearer the occluder was
+    reset_px: Float[Array, ""]  # |m − m′| above which the hold counter is dropped
+    hold: Int[Array, ""]  # frames a pixel stays traced after it fired, int32
 
 
-def default_params() -> Params:
-    """Returns the defaults."""
+def default_params(
+    threshold: float = 0.1,  # our choice: a start; fitted against references
+    luminance_threshold: float = 0.1,  # our choice: likewise
+    depth_threshold: float = 0.1,  # our choice: likewise
+    luminance_weight: float = 1.0,  # paper, section 3: "weighted equally"
+    depth_weight: float = 1.0,
+    luminance_floor: float = 0.004,  # our choice: one step of an 8-bit linear image
+    # our choice: surfaces whose motion agrees within a pixel blur by less than the
+    # history's filter does; the relative part forgives what a constant acceleration
+    # changes in a frame.
+    disocclusion_px: float = 1.0,
+    disocclusion_relative: float = 0.1,
+    depth_relative: float = 0.1,  # our choice: a camera's step is a smaller share
+    reset_px: float = 2.0,  # our choice: "significant" is twice a disocclusion
+    hold: int = 4,  # our choice: half a period of UE4's 8-frame jitter
+) -> Params:
+    """Returns parameters, by default unfitted ones."""
     return Params(
-        luminance_weight=_number(1.0),  # paper, section 3: equal weights
-        depth_weight=_number(1.0),
-        # our choice: experiments/shares.py, under 0.5 rays a pixel at 8x.
-        threshold=_number(0.12),
-        # our choice: two 8-bit sRGB steps above black, below what a display shows.
-        luminance_floor=_number(0.001),
-        # our choice: a pixel and a tenth of the motion. Jitter moves the sample by up
-        # to a pixel along a slanted surface, and perspective changes the motion of one
-        # surface by a few per cent a frame.
-        disocclusion_px=_number(1.0),
-        disocclusion_ratio=_number(0.1),
-        # our choice: an occluder within 5 % of the depth leaves little parallax.
-        nearer_ratio=_number(0.95),
-        # our choice: twice the disocclusion's, so that held pixels survive jitter.
-        reset_px=_number(2.0),
-        # our choice: "the next few frames" (paper, section 3).
-        hold=jnp.asarray(4, jnp.int32),
+        threshold=jnp.asarray(threshold, jnp.float32),
+        luminance_threshold=jnp.asarray(luminance_threshold, jnp.float32),
+        depth_threshold=jnp.asarray(depth_threshold, jnp.float32),
+        luminance_weight=jnp.asarray(luminance_weight, jnp.float32),
+        depth_weight=jnp.asarray(depth_weight, jnp.float32),
+        luminance_floor=jnp.asarray(luminance_floor, jnp.float32),
+        disocclusion_px=jnp.asarray(disocclusion_px, jnp.float32),
+        disocclusion_relative=jnp.asarray(disocclusion_relative, jnp.float32),
+        depth_relative=jnp.asarray(depth_relative, jnp.float32),
+        reset_px=jnp.asarray(reset_px, jnp.float32),
+        hold=jnp.asarray(hold, jnp.int32),
     )
 
 
-def _number(value: float) -> Float[Array, ""]:
-    return jnp.asarray(value, jnp.float32)
-
-
 def pack_mask(
-    method: UInt[Array, "*n"], history: UInt[Array, "*n"]
-) -> UInt[Array, "*n"]:
-    """Packs method (low 16 bits) and classification history (high 16), uint32."""
-    low = method.astype(jnp.uint32) & jnp.uint32(0xFFFF)
-    return low | (history.astype(jnp.uint32) << jnp.uint32(16))
+    method: UInt[Array, "h w"], history: UInt[Array, "h w"]
+) -> UInt[Array, "h w"]:
+    """Packs a mask: method in the low 16 bits, classification history in the high.
+
+    Args:
+        method: METHOD_*, uint32.
+        history: frames to hold, uint32; more than 65535 counts as 65535.
+    """
+    history = jnp.minimum(history, jnp.uint32(_HOLD_MAX))
+    return method | (history << jnp.uint32(16))
 
 
 def unpack_mask(
-    mask: UInt[Array, "*n"],
-) -> tuple[UInt[Array, "*n"], UInt[Array, "*n"]]:
-    """Returns method and classification history, uint32 each."""
+    mask: UInt[Array, "h w"],
+) -> tuple[UInt[Array, "h w"], UInt[Array, "h w"]]:
+    """Returns (method, classification history) of a packed mask, both uint32."""
     return mask & jnp.uint32(0xFFFF), mask >> jnp.uint32(16)
 
 
-@partial(jax.jit, static_argnames=("config",))
+@partial(jax.jit, static_argnames="config")
 def segment(
     state: State,
     color: Float[Array, "h w 3"],
@@ -136,26 +137,26 @@ def segment(
     *,
     config: Config,
 ) -> tuple[Segmentation, Int[Array, ""]]:
-    """Classifies every pixel, and holds the mask to the ray budget.
+    """Classifies every pixel, then keeps the ray budget.
 
     Args:
-        state: what the last frame left.
-        color: this frame's raster colour, linear.
-        gbuffer: its depth and motion vectors.
-        reprojected: the history as TAA read it, before rectification, linear.
-        params: numbers.
-        max_pixels: pixels that may be traced; the highest scores win.
-        config: choices.
+        state: history and classification of the last frame.
+        color: linear radiance of this frame's raster samples.
+        gbuffer: depth and motion of the same samples.
+        reprojected: linear history before rectification, as TAA read it.
+        params: thresholds.
+        max_pixels: the most pixels that may be traced, int32.
+        config: reading and switches.
 
     Returns:
-        The segmentation, and how many pixels asked for rays beyond the budget: those
-        keep TAA's colour and their classification history.
+        (segmentation within the budget, pixels that asked for rays beyond it).
     """
-    found = classify(state, color, gbuffer, reprojected, params, config=config)
-    return apply_budget(found, max_pixels)
+    wanted = segmentation(state, color, gbuffer, reprojected, params, config=config)
+    return apply_budget(wanted, max_pixels)
 
 
-def classify(
+@partial(jax.jit, static_argnames="config")
+def segmentation(
     state: State,
     color: Float[Array, "h w 3"],
     gbuffer: GBuffer,
@@ -164,156 +165,110 @@ def classify(
     *,
     config: Config,
 ) -> Segmentation:
-    """Classifies every pixel without a budget; see `segment`."""
-    shape = gbuffer.depth.shape
-    never = jnp.zeros(shape, bool)
-    index = _reprojected_index(gbuffer)
-    off_screen = ~gbuffer.motion_valid | ~state.history.valid
-    change = _motion_change(gbuffer, state.history, index)
-    disoccluded = never
+    """Classifies every pixel, without a budget; arguments as `segment`'s.
+
+    Returns:
+        Mask, why-bits and terms. The score of a pixel that is held but does not fire
+        is at least the threshold's: held pixels compete for the budget as if they
+        just fired. FXAA's pixels have score 0.
+    """
+    row, column = window.history_position(gbuffer.motion)
+    previous = window.nearest_index(row, column)
+    new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
+    change, length = _motion_change(state, gbuffer, previous)
+
+    disoccluded = jnp.zeros_like(new)
     if config.use_disocclusion:
-        disoccluded = _disoccluded(gbuffer, state.history, params, config)
-    new = off_screen | disoccluded
+        limit = params.disocclusion_px + params.disocclusion_relative * length
+        disoccluded = ~(change <= limit)  # a previous motion of NaN disoccludes
+        if config.depth_disocclusion:
+            then = window.read(state.history.depth, previous)
+            disoccluded |= _was_hidden(gbuffer.depth, then, params.depth_relative)
+    disoccluded &= ~new
+    fxaa = new | disoccluded
 
-    remaining = jnp.zeros(shape, jnp.int32)
-    reset = never
+    held_frames = jnp.zeros(new.shape, jnp.uint32)
     if config.use_history:
-        _, stored = unpack_mask(_read(state.classification.mask, index))
-        reset = (change > params.reset_px) & ~new
-        remaining = jnp.where(new | reset, 0, stored.astype(jnp.int32))
-    held = remaining > 0
+        held_frames = window.read(state.classification.mask, previous) >> jnp.uint32(16)
+    reset = (held_frames > 0) & ~(change <= params.reset_px) & ~fxaa
+    held = (held_frames > 0) & ~reset & ~fxaa
 
-    luminance = _luminance_term(color, reprojected, params.luminance_floor)
-    luminance = jnp.where(new, 0.0, luminance)
-    depth = _depth_term(gbuffer.depth)
-    score, fires = _criteria(luminance, depth, params, config)
-    fires = fires & ~new
-    traced = held | fires
-    hold = jnp.clip(params.hold, 0, MAX_HOLD)
-    # Only a firing criterion sets the counter, so holding never feeds itself.
-    history = jnp.where(fires, hold, jnp.maximum(remaining - 1, 0))
-    history = jnp.where(new, 0, history) if config.use_history else remaining
-    method = jnp.where(new, METHOD_FXAA, jnp.where(traced, METHOD_ATAA, METHOD_TAA))
-    by_luminance, by_depth = _reasons(luminance, depth, fires, params, config)
+    luminance = depth = jnp.zeros(new.shape, jnp.float32)
+    if config.use_luminance:
+        luminance = _luminance_term(color, reprojected, params.luminance_floor)
+    if config.use_depth:
+        depth = _depth_term(gbuffer.depth)
+    score, firing_score = _score(luminance, depth, params, config)
+    luminance_limit, depth_limit = (
+        (params.threshold, params.threshold)
+        if config.reading == "sum"
+        else (params.luminance_threshold, params.depth_threshold)
+    )
+    fires = (score > firing_score) & ~fxaa
+    score = jnp.where(held, jnp.maximum(score, firing_score), score)
+
+    # Paper: held pixels may exit early. Here they are still tested, at no loss, so that
+    # the counter runs from the last frame that fired; holding alone never renews it.
+    full = jnp.clip(params.hold, 0, _HOLD_MAX).astype(jnp.uint32)
+    counter = jnp.where(held, held_frames - jnp.uint32(1), jnp.uint32(0))
+    counter = jnp.where(fires, full if config.use_history else jnp.uint32(0), counter)
+    method = jnp.where(
+        fxaa,
+        jnp.uint32(METHOD_FXAA),
+        jnp.where(held | fires, jnp.uint32(METHOD_ATAA), jnp.uint32(METHOD_TAA)),
+    )
     why = (
-        _bit(off_screen, WHY_OFF_SCREEN)
-        | _bit(disoccluded & ~off_screen, WHY_DISOCCLUDED)
-        | _bit(held & ~new, WHY_HELD)
-        | _bit(by_luminance & ~new, WHY_LUMINANCE)
-        | _bit(by_depth & ~new, WHY_DEPTH)
+        _bit(new, WHY_OFF_SCREEN)
+        | _bit(disoccluded, WHY_DISOCCLUDED)
+        | _bit(held, WHY_HELD)
+        | _bit(fires & (luminance > luminance_limit), WHY_LUMINANCE)
+        | _bit(fires & (depth > depth_limit), WHY_DEPTH)
         | _bit(reset, WHY_RESET)
     )
     return Segmentation(
-        mask=pack_mask(method.astype(jnp.uint32), history.astype(jnp.uint32)),
+        mask=pack_mask(method, counter),
         why=why,
-        score=score,
+        score=jnp.where(fxaa, 0.0, score),
         luminance=luminance,
         depth=depth,
     )
 
 
-def apply_budget(
-    found: Segmentation, max_pixels: Int[Array, ""]
-) -> tuple[Segmentation, Int[Array, ""]]:
-    """Leaves rays to at most `max_pixels` pixels: the highest scores win.
-
-    Ties go to the lowest pixel index, so the choice is deterministic. The cut-off score
-    is found by bisection on the bit pattern of the scores (non-negative floats order as
-    their bits do): 31 counts in place of a sort.
-
-    Args:
-        found: the mask without a budget.
-        max_pixels: pixels that may be traced.
-
-    Returns:
-        The mask within the budget, and the number of pixels that lost their rays.
-    """
-    method, history = unpack_mask(found.mask)
-    traced = method == METHOD_ATAA
-    asked = jnp.sum(traced, dtype=jnp.int32)
-
-    def cut() -> Bool[Array, "h w"]:
-        bits = jax.lax.bitcast_convert_type(found.score, jnp.int32)
-        bits = jnp.where(traced, jnp.maximum(bits, 0), -1)
-
-        def narrow(_: Int[Array, ""], bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-            low, high = bounds  # count(bits > high) ≤ max_pixels < count(bits > low)
-            middle = low + (high - low) // 2
-            above = jnp.sum(bits > middle, dtype=jnp.int32)
-            fits = above <= max_pixels
-            return jnp.where(fits, low, middle), jnp.where(fits, middle, high)
-
-        start = jnp.asarray(-1, jnp.int32), jnp.asarray(0x7F800000, jnp.int32)
-        _, level = jax.lax.fori_loop(0, 31, narrow, start)
-        sure = bits > level
-        tied = bits == level
-        room = max_pixels - jnp.sum(sure, dtype=jnp.int32)
-        order = jnp.cumsum(tied.reshape(-1).astype(jnp.int32)).reshape(tied.shape)
-        return sure | (tied & (order <= room))
-
-    kept = jax.lax.cond(asked > max_pixels, cut, lambda: traced)
-    lost = traced & ~kept
-    method = jnp.where(lost, jnp.uint32(METHOD_TAA), method)
-    limited = eqx.tree_at(
-        lambda s: (s.mask, s.why),
-        found,
-        (pack_mask(method, history), found.why | _bit(lost, WHY_OVER_BUDGET)),
-    )
-    return limited, jnp.sum(lost, dtype=jnp.int32)
-
-
-def _bit(where: Bool[Array, "h w"], bit: int) -> UInt[Array, "h w"]:
-    return jnp.where(where, jnp.uint8(bit), jnp.uint8(0))
-
-
-def _reprojected_index(gbuffer: GBuffer) -> Int[Array, "h w"]:
-    """Returns the flat index of the nearest pixel to where the point was before.
-
-    Border rule: clamp to edge (what was off-screen is FXAA and never reads it).
-    """
-    height, width = gbuffer.depth.shape
-    row = jnp.arange(height, dtype=jnp.float32)[:, None]
-    column = jnp.arange(width, dtype=jnp.float32)[None, :]
-    row = jnp.clip(jnp.round(row + gbuffer.motion[..., 1]), 0, height - 1)
-    column = jnp.clip(jnp.round(column + gbuffer.motion[..., 0]), 0, width - 1)
-    return row.astype(jnp.int32) * width + column.astype(jnp.int32)
-
-
-def _read(image: Array, index: Int[Array, "h w"]) -> Array:
-    return image.reshape(-1).at[index].get(mode="promise_in_bounds")
+def _bit(condition: Bool[Array, "h w"], bit: int) -> UInt[Array, "h w"]:
+    return jnp.where(condition, jnp.uint8(bit), jnp.uint8(0))
 
 
 def _motion_change(
-    gbuffer: GBuffer, history: History, index: Int[Array, "h w"]
-) -> Float[Array, "h w"]:
-    """Returns |motion − previous motion at the reprojected pixel|, px."""
-    x = gbuffer.motion[..., 0] - _read(history.motion[..., 0], index)
-    y = gbuffer.motion[..., 1] - _read(history.motion[..., 1], index)
-    return jnp.sqrt(x * x + y * y)
+    state: State, gbuffer: GBuffer, previous: Int[Array, "h w"]
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """Returns (|m − m′|, max(|m|, |m′|)) in px.
 
-
-def _disoccluded(
-    gbuffer: GBuffer, history: History, params: Params, config: Config
-) -> Bool[Array, "h w"]:
-    """Returns where the previous frame showed another surface at this point's place."""
-    height, width = gbuffer.depth.shape
-    index = _reprojected_index(gbuffer)
+    What an object in motion uncovers is found thereby: the reprojected pixel of the
+    still background showed the object, whose motion differs.
+    """
     x, y = gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    speed = jnp.sqrt(x * x + y * y)
-    tolerance = params.disocclusion_px + params.disocclusion_ratio * speed
-    if config.disocclusion == "pixel":
-        return _motion_change(gbuffer, history, index) > tolerance
-    row, column = index // width, index % width
-    past_x, past_y = history.motion[..., 0], history.motion[..., 1]
-    smallest = jnp.full((height, width), jnp.inf, jnp.float32)
-    for down in (-1, 0, 1):
-        r = jnp.clip(row + down, 0, height - 1) * width
-        for right in (-1, 0, 1):
-            at = r + jnp.clip(column + right, 0, width - 1)
-            dx, dy = x - _read(past_x, at), y - _read(past_y, at)
-            smallest = materialize(jnp.minimum(smallest, dx * dx + dy * dy))
-    in_front = _read(history.depth, index) < params.nearer_ratio * gbuffer.depth
-    return (smallest > tolerance * tolerance) & in_front
+    then_x = window.read(state.history.motion[..., 0], previous)
+    then_y = window.read(state.history.motion[..., 1], previous)
+    change = jnp.sqrt((x - then_x) ** 2 + (y - then_y) ** 2)
+    longer = jnp.maximum(x * x + y * y, then_x * then_x + then_y * then_y)
+    return change, jnp.sqrt(longer)
+
+
+def _was_hidden(
+    depth: Float[Array, "h w"], then: Float[Array, "h w"], relative: Float[Array, ""]
+) -> Bool[Array, "h w"]:
+    """Returns whether something nearer than this point was seen in its place.
+
+    1/z′ − 1/z > relative · 1/z′, that is z′ < (1 − relative) z; sky is at 1/z = 0.
+    """
+    inverse, inverse_then = _inverse_depth(depth), _inverse_depth(then)
+    return inverse_then - inverse > relative * inverse_then
+
+
+def _inverse_depth(depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Returns 1/z: 0 for the sky, for NaN, and for depths that are not positive."""
+    positive = depth > 1e-30  # our choice: nearer, 1/z would leave float32
+    return jnp.where(positive, 1.0 / jnp.where(positive, depth, 1.0), 0.0)
 
 
 def _luminance_term(
@@ -321,54 +276,129 @@ def _luminance_term(
     reprojected: Float[Array, "h w 3"],
     floor: Float[Array, ""],
 ) -> Float[Array, "h w"]:
-    """Returns the relative temporal change of the 3×3 mean luma, in [0, 1]."""
-    now = window.mean(colors.luma(colors.tonemap(color)))
-    then = window.mean(colors.luma(colors.tonemap(reprojected)))
-    largest = jnp.maximum(now, then)
-    dark = largest < floor
-    # Two equal means computed by two fused programs may differ in the last bits.
-    change = jnp.abs(now - then) / jnp.where(dark, 1.0, largest)
-    return jnp.clip(jnp.where(dark, 0.0, change), 0.0, 1.0)
+    """Returns |m(L) − m(L′)| / max of both, m the 3×3 mean, L tone-mapped luma.
+
+    In [0, 1]; 0 where both means are below the floor.
+    """
+    now, then = (
+        window.mean3x3(window.border(_tonemapped_luma(image)))
+        for image in (color, reprojected)
+    )
+    larger = jnp.maximum(now, then)
+    seen = (larger >= floor) & (larger > 0.0)
+    return jnp.where(seen, jnp.abs(now - then) / jnp.where(seen, larger, 1.0), 0.0)
+
+
+def _tonemapped_luma(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    return colors.luma_vec(colors.to_average_vec(vector.unstack(image), "tonemap"))
 
 
 def _depth_term(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Returns the relative Sobel magnitude of 1/z, in [0, 1]; 0 where all is sky."""
-    usable = depth > 0.0
-    inverse = jnp.where(usable, 1.0 / jnp.where(usable, depth, 1.0), 0.0)
-    largest = window.maximum(inverse)
-    present = largest > 0.0
-    ratio = window.sobel(inverse) / (8.0 * jnp.where(present, largest, 1.0))
-    return jnp.clip(jnp.where(present, ratio, 0.0), 0.0, 1.0)
+    """Returns |Sobel(1/z)| / (8 · max 1/z), both over the 3×3; 0 where all is sky.
+
+    A plane's 1/z is linear in the image, so its gradient is constant; divided by the
+    largest 1/z, the term has no unit. It lies in [0, 1].
+    """
+    bordered = window.border(_inverse_depth(depth))
+    largest = window.reduce3x3(bordered, jnp.maximum)
+    n = window.neighbours(bordered)
+    # Divided before squaring: 1/z² of tiny scenes would leave float32.
+    scale = jnp.where(largest > 0.0, 1.0 / jnp.where(largest > 0.0, largest, 1.0), 0.0)
+    right = n[0][2] + 2.0 * n[1][2] + n[2][2]
+    left = n[0][0] + 2.0 * n[1][0] + n[2][0]
+    lower = n[2][0] + 2.0 * n[2][1] + n[2][2]
+    upper = n[0][0] + 2.0 * n[0][1] + n[0][2]
+    gradient_x, gradient_y = (right - left) * scale, (lower - upper) * scale
+    return jnp.sqrt(gradient_x * gradient_x + gradient_y * gradient_y) * 0.125
 
 
-def _criteria(
+def _score(
     luminance: Float[Array, "h w"],
     depth: Float[Array, "h w"],
     params: Params,
     config: Config,
-) -> tuple[Float[Array, "h w"], Bool[Array, "h w"]]:
-    """Returns the score by which rays are given, and whether it passes."""
-    wl = params.luminance_weight if config.use_luminance else jnp.zeros_like(depth)
-    wd = params.depth_weight if config.use_depth else jnp.zeros_like(depth)
+) -> tuple[Float[Array, "h w"], Float[Array, ""]]:
+    """Returns (score, the value above which a pixel fires).
+
+    sum: the weighted mean of the terms, against the threshold. either: with r the
+    larger ratio of a term to its threshold, r / (1 + r), which passes ½ where r
+    passes 1 and ranks pixels by how far they are over.
+    """
     if config.reading == "either":
-        score = jnp.maximum(jnp.sign(wl) * luminance, jnp.sign(wd) * depth)
-    else:
-        total = wl + wd
-        score = (wl * luminance + wd * depth) / jnp.where(total > 0.0, total, 1.0)
-    return score, (score > params.threshold) & (wl + wd > 0.0)
-
-
-def _reasons(
-    luminance: Float[Array, "h w"],
-    depth: Float[Array, "h w"],
-    fires: Bool[Array, "h w"],
-    params: Params,
-    config: Config,
-) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Returns where each criterion passes alone, or gave the greater part of the sum."""
-    nothing = jnp.zeros_like(depth)
-    score_l, by_luminance = _criteria(luminance, nothing, params, config)
-    score_d, by_depth = _criteria(nothing, depth, params, config)
-    return by_luminance | (fires & (score_l >= score_d)), by_depth | (
-        fires & (score_d > score_l)
+        least = 1e-6  # a threshold of 0 fires at the smallest change
+        ratio = jnp.maximum(
+            luminance / jnp.maximum(params.luminance_threshold, least),
+            depth / jnp.maximum(params.depth_threshold, least),
+        )
+        return ratio / (1.0 + ratio), jnp.float32(0.5)
+    zero = jnp.float32(0.0)
+    w_luminance = params.luminance_weight if config.use_luminance else zero
+    w_depth = params.depth_weight if config.use_depth else zero
+    total = w_luminance + w_depth
+    mean = (w_luminance * luminance + w_depth * depth) / jnp.where(
+        total > 0.0, total, 1.0
     )
+    return mean, params.threshold
+
+
+@jax.jit
+def apply_budget(
+    segmented: Segmentation, max_pixels: Int[Array, ""]
+) -> tuple[Segmentation, Int[Array, ""]]:
+    """Leaves rays to the pixels of the highest scores, at most `max_pixels` of them.
+
+    Of equal scores the first in row-major order win. The rest become TAA's, with
+    WHY_OVER_BUDGET; they keep their hold counters, and so ask again.
+
+    Args:
+        segmented: the mask wanted.
+        max_pixels: int32; below 0 counts as 0.
+
+    Returns:
+        (segmentation, pixels that lost their rays).
+    """
+    method, counter = unpack_mask(segmented.mask)
+    wants = method == METHOD_ATAA
+    wanted = jnp.sum(wants, dtype=jnp.int32)
+    allowed = jnp.maximum(max_pixels, 0)
+    keeps = jax.lax.cond(
+        wanted > allowed,
+        _highest,
+        lambda wants, score, allowed: wants,
+        wants,
+        segmented.score,
+        allowed,
+    )
+    loses = wants & ~keeps
+    method = jnp.where(loses, jnp.uint32(METHOD_TAA), method)
+    limited = Segmentation(
+        mask=pack_mask(method, counter),
+        why=segmented.why | _bit(loses, WHY_OVER_BUDGET),
+        score=segmented.score,
+        luminance=segmented.luminance,
+        depth=segmented.depth,
+    )
+    return limited, jnp.maximum(wanted - allowed, 0)
+
+
+def _highest(
+    wants: Bool[Array, "h w"], score: Float[Array, "h w"], allowed: Int[Array, ""]
+) -> Bool[Array, "h w"]:
+    """Returns the `allowed` highest scores among more candidates than that.
+
+    No sort: the bits of floats that are at least 0 order like integers, so the cut,
+    the largest key that `allowed` candidates reach, is found bit by bit.
+    """
+    key = jax.lax.bitcast_convert_type(jnp.maximum(score, 0.0), jnp.int32)
+    key = jnp.where(wants, key, -1)
+
+    def refine(step: Int[Array, ""], cut: Int[Array, ""]) -> Int[Array, ""]:
+        higher = cut | jnp.left_shift(jnp.int32(1), 30 - step)
+        return jnp.where(
+            jnp.sum(key >= higher, dtype=jnp.int32) >= allowed, higher, cut
+        )
+
+    cut = jax.lax.fori_loop(jnp.int32(0), jnp.int32(31), refine, jnp.int32(0))
+    above, tied = key > cut, key == cut
+    rank, _ = compact.ranks(tied)
+    return above | (tied & (rank < allowed - jnp.sum(above, dtype=jnp.int32)))

@@ -155,7 +155,7 @@ def taa(
     bordered = Vec3(*(window.border(c) for c in (current.x, current.y, current.z)))
 
     motion, motion_valid = _motion(gbuffer, config)
-    row, column = window.history_position(motion)
+    row, column = jax.lax.optimization_barrier(window.history_position(motion))
     valid = history.valid & motion_valid & window.inside(row, column)
 
     reprojected, exact = _read_history(history.color, row, column, config)
@@ -164,20 +164,20 @@ def taa(
     sample = _filter_current(bordered, jitter, config)
     rectified, sample = _rectify(reprojected, sample, bordered, params, config)
     nearest = window.nearest_index(row, column)
-    frames = jnp.minimum(_finite(window.read(history.count, nearest)), params.count_limit)
+    frames = jnp.minimum(
+        _finite(window.read(history.count, nearest)), params.count_limit
+    )
     weight = _current_weight(motion, frames, params, config)
     blended = _blend(rectified, sample, weight, config)
 
     # Where nothing was interpolated the linear values themselves are handed on, so
     # that no round trip through the averaging space costs their last bits.
     clean = colors.sanitize_vec(current_linear)
-    unfiltered = clean if config.current_filter == "none" else _to_linear(sample, config)
+    alone = clean if config.current_filter == "none" else _to_linear(sample, config)
     whole = (row == jnp.round(row)) & (column == jnp.round(column))
     handed_on = vector.select(whole, exact, _to_linear(reprojected, config))
     return TaaOutput(
-        color=vector.stack(
-            vector.select(valid, _to_linear(blended, config), unfiltered)
-        ),
+        color=vector.stack(vector.select(valid, _to_linear(blended, config), alone)),
         reprojected=vector.stack(vector.select(valid, handed_on, clean)),
         count=jnp.where(valid, frames + 1.0, 1.0),
         valid=valid,
@@ -291,10 +291,10 @@ def _read_history(
             low, high = jnp.minimum(low, other), jnp.maximum(high, other)
         total = jnp.clip(total, low, high)
     exact = image.reshape(-1, 3).at[rows[middle] + columns[middle]]
-    return (
-        _in_range(vector.unstack(total), config),
-        vector.unstack(exact.get(mode="promise_in_bounds")),
+    total, exact = jax.lax.optimization_barrier(
+        (total, exact.get(mode="promise_in_bounds"))
     )
+    return _in_range(vector.unstack(total), config), vector.unstack(exact)
 
 
 def _in_range(value: Vec3, config: Config) -> Vec3:
@@ -378,9 +378,7 @@ def _rectify(
     if config.space == "ycocg":
         planes = jax.lax.optimization_barrier(planes)
     h, c = to_box(history), to_box(sample)
-    boxes = [
-        _box(plane, params, config) for plane in (planes.x, planes.y, planes.z)
-    ]
+    boxes = [_box(plane, params, config) for plane in (planes.x, planes.y, planes.z)]
     low = Vec3(*(box[0] for box in boxes))
     centre = Vec3(*(box[1] for box in boxes))
     high = Vec3(*(box[2] for box in boxes))

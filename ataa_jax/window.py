@@ -65,9 +65,7 @@ def history_position(
     return row, column
 
 
-def inside(
-    row: Float[Array, "h w"], column: Float[Array, "h w"]
-) -> Bool[Array, "h w"]:
+def inside(row: Float[Array, "h w"], column: Float[Array, "h w"]) -> Bool[Array, "h w"]:
     """Returns whether a position, in index units, lies in the view; NaN does not."""
     height, width = row.shape
     in_rows = (row >= -0.5) & (row <= height - 0.5)
