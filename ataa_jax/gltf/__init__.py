@@ -52,10 +52,13 @@ def load(path: str | Path) -> SceneSource:
         lights = read_lights(container, hierarchy)
     groups = builder.groups
     moving = len(groups) > 1
+    sources = materials.sources
+    if all(mesh.material < len(sources) - 1 for mesh in builder.meshes):
+        sources = sources[:-1]  # nobody needs the default material
     return SceneSource(
         name=container.path.stem,
         meshes=builder.meshes,
-        materials=materials.sources,
+        materials=sources,
         textures=materials.textures,
         lights=lights,
         cameras=cameras,

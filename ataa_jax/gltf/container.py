@@ -36,6 +36,7 @@ ADVICE = {
     "MSFT_texture_dds": "re-export with PNG or JPEG textures",
     "KHR_materials_pbrSpecularGlossiness": "re-export as metallic-roughness",
 }
+MAX_INTEGER = 1 << 53  # what JSON readers agree on
 
 _MAGIC = b"glTF"
 _CHUNK_JSON = 0x4E4F534A
@@ -109,7 +110,11 @@ class Container:
         value = record.get(key, default)
         if value is _NO_DEFAULT:
             raise self.fail(f"{where} lacks `{key}`; re-export the file")
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int)
+            or not 0 <= value < MAX_INTEGER
+        ):
             raise self.fail(
                 f"{where}.{key} is {short(value)}, but must be a non-negative "
                 "integer; re-export the file"
