@@ -1,0 +1,107 @@
+"""One method over a camera path, as files: frames, masks, counts, times and a video."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ataa_jax import color as colors
+from ataa_jax import compare, files
+from ataa_jax.compare import Drawer, Options, Runner
+from ataa_jax.report import mask_overlay, why_overlay, write_timings
+from ataa_jax.world import Sequence
+
+STATISTICS = (
+    "frame",
+    "fxaa_share",
+    "taa_share",
+    "ataa_share",
+    "rays_per_pixel",
+    "overflow_share",
+    "shadow_rays",
+)
+
+
+def shoot(
+    shot: Sequence,
+    method: str,
+    options: Options,
+    folder: Path,
+    *,
+    exr: bool = False,
+    progress: Callable[[str, int, int], None] = lambda text, done, total: None,
+) -> list[tuple[str, ...]]:
+    """Renders a sequence and writes it.
+
+        frames/NNNN.png   what is shown, sRGB
+        exr/NNNN.exr      linear radiance, on request
+        mask/NNNN.png     ATAA alone: methods over the greyscale frame; why/: reasons
+        statistics.csv    counts of every frame
+        video.mp4         all frames
+        timings.csv       milliseconds a stage, apart from all else
+
+    Args:
+        shot: the world along a path.
+        method: a key of `compare.METHODS`.
+        options: frames, lead-in, budget and parameters.
+        folder: where to.
+        exr: also write linear frames.
+        progress: told what is done, and how many of how many steps.
+
+    Returns:
+        The rows of `statistics.csv`.
+    """
+    runner = compare.runner(method, shot, options)
+    drawer = Drawer(shot)
+    first = -options.lead_in if runner.temporal else 0
+    rows: list[tuple[str, ...]] = []
+    for index in range(first, options.frames):
+        drawer.start(index)
+        image = runner.run(index, drawer)
+        if index >= 0:
+            _write_frame(folder, index, image, runner, exr=exr)
+            rows.append(_statistics(index, runner))
+        progress(
+            f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
+        )
+    files.write_csv(folder / "statistics.csv", STATISTICS, rows)
+    write_timings({method: runner.times}, compare.peak_memory(), folder / "timings.csv")
+    shown = (_read(folder / f"frames/{i:04d}.png") for i in range(options.frames))
+    files.write_video(folder / "video.mp4", shown, shot.path.fps)
+    return rows
+
+
+def _write_frame(
+    folder: Path, index: int, image: np.ndarray, runner: Runner, *, exr: bool
+) -> None:
+    shown = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    files.write_png(folder / f"frames/{index:04d}.png", shown)
+    if runner.method is not None and runner.why is not None:
+        overlay = mask_overlay(shown, runner.method)
+        files.write_png(folder / f"mask/{index:04d}.png", overlay)
+        reasons = why_overlay(shown, runner.why)
+        files.write_png(folder / f"why/{index:04d}.png", reasons)
+    if exr:
+        # FXAA works on the display image, so the one linear image that holds what all
+        # stages did is the display image taken back.
+        decoded = colors.srgb_decode(jnp.asarray(image, jnp.float32))
+        linear = np.asarray(colors.inverse_tonemap(decoded))
+        files.write_exr(folder / f"exr/{index:04d}.exr", linear)
+
+
+def _read(file: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(file) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def _statistics(index: int, runner: Runner) -> tuple[str, ...]:
+    """Returns a row of counts; cells that mean nothing for the method are empty."""
+    shares = [
+        files.decimals(runner.shares[name], 6) if name in runner.shares else ""
+        for name in STATISTICS[1:-1]
+    ]
+    shadow = getattr(runner, "shadow_rays", None)
+    return (str(index), *shares, "" if shadow is None else str(shadow))
