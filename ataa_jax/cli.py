@@ -484,3 +484,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _traceback(given: list[str]) -> None:
     if "--traceback" in given:
         tracebacks.print_exc()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

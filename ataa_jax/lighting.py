@@ -7,7 +7,9 @@ is a measurement on them, and what it decided is told to the user:
 - no light: a sun, the one of sixteen directions that lights most visible points;
 - no light, and no sun reaches 20 % of them: an interior, where point lights are placed
   in the open space before the camera, three quarters of the way to the ceiling;
-- the sky's ambient light is attenuated by the share of sky that visible points see.
+- the sky's ambient light is attenuated by the share of sky that visible points see;
+- what hides the rest of the sky reflects as much light as visible surfaces do on the
+  mean: that, times the hidden share, is a constant ambient radiance (one bounce).
 """
 
 from dataclasses import dataclass

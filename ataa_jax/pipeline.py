@@ -240,13 +240,7 @@ def antialias(
         resolved = observe(
             "resolve",
             resolve.resolve(
-                segmented.mask,
-                color,
-                blended.color,
-                traced.color,
-                blended.count,
-                gbuffer,
-                params.resolve,
+                segmented, color, gbuffer, blended, traced.color, params.resolve
             ),
         )
     with jax.named_scope("fxaa"):
@@ -277,7 +271,9 @@ def antialias(
             raster_shadow_rays=drawn.shadow_rays,
         ),
     )
-    return output, resolved.state
+    return output, State(
+        history=resolved.history, classification=resolved.classification
+    )
 
 
 def _temporal_only(
@@ -298,13 +294,7 @@ def _temporal_only(
     )
     black = jnp.zeros((*size, 3), jnp.float32)
     resolved = resolve.resolve(
-        segmented.mask,
-        drawn.color,
-        blended.color,
-        black,
-        blended.count,
-        drawn.gbuffer,
-        params.resolve,
+        segmented, drawn.color, drawn.gbuffer, blended, black, params.resolve
     )
     output = FrameOutput(
         image=colors.display(resolved.composite),
@@ -324,7 +314,9 @@ def _temporal_only(
             raster_shadow_rays=drawn.shadow_rays,
         ),
     )
-    return output, resolved.state
+    return output, State(
+        history=resolved.history, classification=resolved.classification
+    )
 
 
 def stages(

@@ -13,6 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from trimesh.visual import ColorVisuals
 
 from ataa_jax import mipmap, types
 from ataa_jax.errors import InputError
@@ -132,8 +133,9 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
         one sentence each.
 
     Raises:
-        InputError: no triangle is left.
+        InputError: no triangle is left, or an id names nothing.
     """
+    _check_ids(source)
     parts = [_unindexed(mesh) for mesh in source.meshes]
     dropped = sum(part[3] for part in parts)
     counts = [len(part[0]) for part in parts]
@@ -156,7 +158,8 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
         object=repeated(list(range(len(source.meshes)))),
         group=repeated([mesh.group for mesh in source.meshes]),
     )
-    sky = source.sky or SkySource((0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
+    black = (0.0, 0.0, 0.0)
+    sky = source.sky or SkySource(black, black, black)
     scene = types.Scene(
         geometry=geometry,
         materials=_pack_materials(source.materials),
@@ -165,6 +168,66 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
         sky=pack_sky(sky, 1.0),
     )
     return scene, notes
+
+
+def bounds(source: SceneSource, time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the lowest and highest corner of all meshes at a time, world.
+
+    Args:
+        source: the scene.
+        time: seconds of its animation.
+
+    Returns:
+        Two float64 (3,), over the finite corners of triangles.
+
+    Raises:
+        InputError: no corner is finite.
+    """
+    transforms = np.asarray(source.transforms(time), np.float64)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for mesh in source.meshes:
+        used = mesh.position[np.unique(mesh.triangles)].astype(np.float64)
+        used = used[np.isfinite(used).all(axis=1)]
+        matrix = transforms[mesh.group]
+        world = used @ matrix[:, :3].T + matrix[:, 3]
+        low = np.minimum(low, world.min(axis=0, initial=np.inf))
+        high = np.maximum(high, world.max(axis=0, initial=-np.inf))
+    if not np.isfinite([low, high]).all():
+        raise InputError(
+            f"scene '{source.name}' has no triangles with finite corners; give a scene "
+            "with at least one"
+        )
+    return low, high
+
+
+def _check_ids(source: SceneSource) -> None:
+    """Refuses ids that name nothing: NumPy would wrap them, JAX would clamp them."""
+    groups = len(source.group_names)
+
+    def check(low: int, high: int, count: int, what: str) -> None:
+        if low < 0 or high >= count:
+            raise InputError(
+                f"scene '{source.name}': {what} {low if low < 0 else high}, but there "
+                f"are {count}; correct the scene"
+            )
+
+    for mesh in source.meshes:
+        name = f"mesh '{mesh.name}' names"
+        check(mesh.material, mesh.material, len(source.materials), f"{name} material")
+        check(mesh.group, mesh.group, groups, f"{name} rigid group")
+        if mesh.triangles.size:
+            low, high = int(mesh.triangles.min()), int(mesh.triangles.max())
+            check(low, high, len(mesh.position), f"{name} vertex")
+    for material in source.materials:
+        for texture in (
+            material.base_color_texture,
+            material.metallic_roughness_texture,
+            material.normal_texture,
+            material.emissive_texture,
+        ):
+            if texture != types.NO_TEXTURE:
+                what = f"material '{material.name}' names texture"
+                check(texture, texture, len(source.textures), what)
 
 
 def pack_lights(lights: list[LightSource]) -> types.Lights:
@@ -194,6 +257,7 @@ def pack_sky(sky: SkySource, visibility: float) -> types.Sky:
         horizon=jnp.asarray(sky.horizon, jnp.float32),
         ground=jnp.asarray(sky.ground, jnp.float32),
         visibility=jnp.asarray(visibility, jnp.float32),
+        bounce=jnp.zeros(3, jnp.float32),
     )
 
 
@@ -231,27 +295,31 @@ def load_mesh(path: str | Path) -> SceneSource:
     materials: list[MaterialSource] = []
     textures: list[TextureSource] = []
     meshes: list[MeshSource] = []
+    warnings: list[str] = []
     for index, mesh in enumerate(dumped):
         if len(mesh.faces) == 0:
             continue
         if not np.all(np.isfinite(mesh.vertices)):
             raise InputError(f"scene {path} has vertices that are not finite numbers")
         uv = getattr(mesh.visual, "uv", None)
-        materials.append(_mesh_material(mesh, textures))
         name = str(mesh.metadata.get("name", f"mesh {index}"))
+        materials.append(_mesh_material(mesh, name, textures, warnings))
+        # trimesh keeps the file's own normals here; its property would make up smooth
+        # ones, which round off every edge of a file that has none.
+        normal = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
         meshes.append(
             MeshSource(
                 name=name,
                 position=np.asarray(mesh.vertices, np.float32),
                 triangles=np.asarray(mesh.faces, np.int32),
                 material=len(materials) - 1,
-                normal=np.asarray(mesh.vertex_normals, np.float32),
+                normal=None if normal is None else np.asarray(normal, np.float32),
                 uv=None if uv is None else _flipped(np.asarray(uv, np.float32)),
             )
         )
     if not meshes:
         raise InputError(f"scene {path} holds no triangles; nothing to draw")
-    return SceneSource(path.stem, meshes, materials, textures)
+    return SceneSource(path.stem, meshes, materials, textures, warnings=warnings)
 
 
 def _flipped(uv: np.ndarray) -> np.ndarray:
@@ -260,33 +328,44 @@ def _flipped(uv: np.ndarray) -> np.ndarray:
 
 
 def _mesh_material(
-    mesh: trimesh.Trimesh, textures: list[TextureSource]
+    mesh: trimesh.Trimesh,
+    name: str,
+    textures: list[TextureSource],
+    warnings: list[str],
 ) -> MaterialSource:
-    """Maps trimesh's materials: base colour and its texture, rough and not metallic."""
+    """Maps trimesh's materials: base colour and its texture, rough and not metallic.
+
+    Vertex colours are sRGB and averaged. An MTL's Kd is linear, as Blender reads it.
+    """
     material = getattr(mesh.visual, "material", None)
     if material is None:
-        color = getattr(mesh.visual, "main_color", None)
-        rgba = (np.full(4, 200) if color is None else np.asarray(color)) / 255.0
-        return _plain(str(mesh.metadata.get("name", "")), rgba, types.NO_TEXTURE)
+        if not isinstance(mesh.visual, ColorVisuals) or mesh.visual.kind is None:
+            return _plain(name, _srgb(np.full(4, 200.0)), types.NO_TEXTURE)
+        warnings.append(f"vertex colours of '{name}' are averaged to one base colour")
+        colors = np.asarray(mesh.visual.vertex_colors, np.float64)
+        return _plain(name, _srgb(colors.mean(axis=0)), types.NO_TEXTURE)
+    name = str(getattr(material, "name", "") or name)
     image = getattr(material, "baseColorTexture", None)
     if image is None:
         image = getattr(material, "image", None)
-    texture = types.NO_TEXTURE
     if image is not None:
         textures.append(TextureSource(np.asarray(image.convert("RGBA")), srgb=True))
-        texture = len(textures) - 1
+        return _plain(name, np.ones(4), len(textures) - 1)
     color = getattr(material, "main_color", None)
     rgba = np.ones(4) if color is None else np.asarray(color) / 255.0
-    if texture != types.NO_TEXTURE:
-        rgba = np.ones(4)
-    return _plain(str(getattr(material, "name", "") or ""), rgba, texture)
+    return _plain(name, rgba, types.NO_TEXTURE)
 
 
-def _plain(name: str, srgb: np.ndarray, texture: int) -> MaterialSource:
-    r, g, b = (float(channel) for channel in mipmap.decode_srgb(srgb[:3]))
+def _srgb(rgba: np.ndarray) -> np.ndarray:
+    """Decodes sRGB codes in [0, 255]; alpha is linear already."""
+    return np.append(mipmap.decode_srgb(rgba[:3] / 255.0), rgba[3] / 255.0)
+
+
+def _plain(name: str, linear: np.ndarray, texture: int) -> MaterialSource:
+    r, g, b, a = (float(channel) for channel in linear)
     return MaterialSource(
         name=name,
-        base_color=(r, g, b, float(srgb[3])),
+        base_color=(r, g, b, a),
         metallic=0.0,
         roughness=0.8,
         double_sided=True,
@@ -299,11 +378,10 @@ def _unindexed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Returns corners, unit normals and uv per triangle, and how many were dropped."""
     corners = np.asarray(mesh.position, np.float32)[mesh.triangles]
-    cross = np.cross(
-        (corners[:, 1] - corners[:, 0]).astype(np.float64),
-        (corners[:, 2] - corners[:, 0]).astype(np.float64),
-    )
-    area = np.linalg.norm(cross, axis=1)
+    wide = corners.astype(np.float64)  # the product of large edges overflows float32
+    with np.errstate(invalid="ignore"):  # corners that are not finite are left out
+        cross = np.cross(wide[:, 1] - wide[:, 0], wide[:, 2] - wide[:, 0])
+        area = np.linalg.norm(cross, axis=1)
     keep = np.isfinite(area) & (area > 0.0)
     flat = (cross[keep] / area[keep][:, None]).astype(np.float32)
     count = int(keep.sum())

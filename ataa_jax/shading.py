@@ -123,7 +123,7 @@ def sky_radiance(sky: Sky, unit: Vec3) -> Vec3:
     A square root puts the gradient near the horizon, where real skies have it.
     """
     up = jnp.sqrt(jnp.clip(unit.y, 0.0, 1.0))
-    down = jnp.clip(-8.0 * unit.y, 0.0, 1.0)
+    down = jnp.clip(-2.0 * unit.y, 0.0, 1.0)
     zenith, horizon, ground = _sky_colors(sky)
     return horizon + (zenith - horizon) * up + (ground - horizon) * down
 
@@ -203,7 +203,7 @@ def _normal_mapped(
 
 
 def _ambient(sky: Sky, material: _Material, view: Vec3) -> Vec3:
-    """Returns the sky's light reflected without occlusion, times its visibility.
+    """Returns the sky's light times its visibility, and that of the surroundings.
 
     The diffuse term takes the mean radiance of the hemisphere about the normal, linear
     between the mean of the upper sky and the ground; the specular term is Karis's
@@ -226,7 +226,7 @@ def _ambient(sky: Sky, material: _Material, view: Vec3) -> Vec3:
     scale, bias = -1.04 * a004 + r_z, 1.04 * a004 + r_w
     specular = material.f0 * scale + bias
     reflected = material.diffuse * irradiance + specular * blurred
-    return reflected * sky.visibility
+    return reflected * sky.visibility + material.diffuse * vector.unstack(sky.bounce)
 
 
 def _direct(

@@ -155,7 +155,7 @@ def taa(
     bordered = Vec3(*(window.border(c) for c in (current.x, current.y, current.z)))
 
     motion, motion_valid = _motion(gbuffer, config)
-    row, column = jax.lax.optimization_barrier(window.history_position(motion))
+    row, column = window.materialize(window.history_position(motion))
     valid = history.valid & motion_valid & window.inside(row, column)
 
     reprojected, exact = _read_history(history.color, row, column, config)
@@ -228,7 +228,7 @@ def _motion(
         tuple(p[:, s : s + own_x.shape[1]] for p in planes) for s in range(3)
     )
     rows = nearer(nearer(middle, left), right)
-    rows = jax.lax.optimization_barrier(rows)
+    rows = window.materialize(rows)
     above, own, below = (
         tuple(p[s : s + own_x.shape[0]] for p in rows) for s in range(3)
     )
@@ -256,7 +256,7 @@ def _read_history(
     if config.weighting == "tonemap":
         mapped = vector.stack(colors.tonemap_vec(vector.unstack(image)))
     # Texels with their three channels side by side: one cache line a read.
-    texels = jax.lax.optimization_barrier(mapped).reshape(-1, 3)
+    texels = window.materialize(mapped).reshape(-1, 3)
     fraction_y, fraction_x = row - jnp.floor(row), column - jnp.floor(column)
     if config.history_filter == "bilinear":
         reach = range(2)
@@ -266,7 +266,7 @@ def _read_history(
         weights_y, weights_x = _catmull_rom(fraction_y), _catmull_rom(fraction_x)
     rows = [window.floor_index(row + k, height) * width for k in reach]
     columns = [window.floor_index(column + k, width) for k in reach]
-    rows, columns, weights_y, weights_x = jax.lax.optimization_barrier(
+    rows, columns, weights_y, weights_x = window.materialize(
         (rows, columns, weights_y, weights_x)
     )
 
@@ -291,7 +291,7 @@ def _read_history(
             low, high = jnp.minimum(low, other), jnp.maximum(high, other)
         total = jnp.clip(total, low, high)
     exact = image.reshape(-1, 3).at[rows[middle] + columns[middle]]
-    total, exact = jax.lax.optimization_barrier(
+    total, exact = window.materialize(
         (total, exact.get(mode="promise_in_bounds"))
     )
     return _in_range(vector.unstack(total), config), vector.unstack(exact)
@@ -342,7 +342,7 @@ def _filter_current(bordered: Vec3, jitter: Float[Array, " 2"], config: Config) 
         return jnp.asarray(sum(weights_y[r] * rows[r] for r in range(3)))
 
     if config.weighting == "luma":
-        weight = jax.lax.optimization_barrier(_luma_weight(bordered))
+        weight = window.materialize(_luma_weight(bordered))
         total = gaussian(weight)
     else:
         weight = jnp.float32(1.0)
@@ -376,7 +376,7 @@ def _rectify(
     )
     planes = to_box(bordered)
     if config.space == "ycocg":
-        planes = jax.lax.optimization_barrier(planes)
+        planes = window.materialize(planes)
     h, c = to_box(history), to_box(sample)
     boxes = [_box(plane, params, config) for plane in (planes.x, planes.y, planes.z)]
     low = Vec3(*(box[0] for box in boxes))

@@ -103,6 +103,7 @@ class Sky(eqx.Module):
     horizon: Float[Array, " 3"]
     ground: Float[Array, " 3"]  # radiance straight down
     visibility: Float[Array, ""]  # share of the sky that surfaces see, in [0, 1]
+    bounce: Float[Array, " 3"]  # radiance of the surroundings that hide the rest
 
 
 class Scene(eqx.Module):

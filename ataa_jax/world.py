@@ -26,9 +26,9 @@ from ataa_jax.errors import InputError
 
 BUILTIN = "builtin"
 
-# our choice: the mean of log luminance lands at 0.35, which x/(1 + x) and sRGB show as
-# a middle grey of 0.55.
-_EXPOSURE_KEY = 0.35
+# our choice: surfaces' largest channel, tone-mapped, has the mean 0.3, which sRGB shows
+# as 0.58. Unlike a mean of logarithms it is not led astray by black corners.
+_EXPOSURE_KEY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,10 @@ def prepare(
     packed = replace_lights(
         packed, scene.pack_lights(lights), scene.pack_sky(sky, visibility)
     )
-    exposure = _auto_exposure(packed, tracer, transforms, chosen)
+    bounce, exposure = _bounce_and_exposure(
+        packed, tracer, transforms, chosen, visibility
+    )
+    packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
     return replace(
         world,
         scene=_exposed(packed, exposure),
@@ -213,19 +216,38 @@ def _exposed(packed: types.Scene, exposure: float) -> types.Scene:
             sky.zenith,
             sky.horizon,
             sky.ground,
+            sky.bounce,
             s.materials.emissive,
         )
 
     return eqx.tree_at(parts, packed, tuple(part * exposure for part in parts(packed)))
 
 
-def _auto_exposure(
+def _bounce_and_exposure(
     packed: types.Scene,
     tracer: embree.Tracer,
     transforms: np.ndarray,
     camera: scene.CameraSource,
-) -> float:
-    """Exposes a 160×90 view so that the mean log luminance lands on the key."""
+    visibility: float,
+) -> tuple[np.ndarray, float]:
+    """Measures the surroundings' mean radiance, then exposes, on a 160×90 view."""
+    color, hit = _preview(packed, tracer, transforms, camera)
+    seen = color[hit] if hit.any() else color.reshape(-1, 3)
+    bounce = (1.0 - visibility) * seen.mean(axis=0) if hit.any() else np.zeros(3)
+    bounce = bounce.astype(np.float32)
+    lit = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
+    color, hit = _preview(lit, tracer, transforms, camera)
+    seen = color[hit] if hit.any() else color.reshape(-1, 3)
+    return bounce, _auto_exposure(seen.max(axis=1))
+
+
+def _preview(
+    packed: types.Scene,
+    tracer: embree.Tracer,
+    transforms: np.ndarray,
+    camera: scene.CameraSource,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draws 160×90 pixels; returns linear colour and where a surface is."""
     view = cameras.make(camera.world_from_view, camera.fov_y)
     groups = jnp.asarray(transforms, jnp.float32)
     inputs = types.FrameInputs(
@@ -240,13 +262,22 @@ def _auto_exposure(
     out = raster.raster(
         packed, inputs, raster.default_params(), tracer=tracer, config=config
     )
-    color = np.asarray(out.color, np.float64)
-    luminance = color @ np.array([0.2126, 0.7152, 0.0722])
-    hit = np.isfinite(np.asarray(out.gbuffer.depth))
-    seen = luminance[hit] if hit.any() else luminance.reshape(-1)
-    peak = float(seen.max(initial=0.0))
-    if not np.isfinite(peak) or peak <= 0.0:
+    return np.asarray(out.color, np.float64), np.isfinite(np.asarray(out.gbuffer.depth))
+
+
+def _auto_exposure(peak: np.ndarray) -> float:
+    """Exposes so that surfaces' tone-mapped brightness has the mean of the key.
+
+    Args:
+        peak: largest channel of every surface pixel, linear.
+    """
+    peak = peak[np.isfinite(peak) & (peak > 0.0)]
+    if peak.size == 0:
         return 1.0
-    # Floor at a thousandth of the mean: black corners must not open the aperture.
-    floor = max(float(seen.mean()) * 1e-3, 1e-30)
-    return float(_EXPOSURE_KEY / np.exp(np.mean(np.log(np.maximum(seen, floor)))))
+    low, high = -60.0, 60.0  # log2 of the exposure; the mean grows with it
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        exposed = peak * 2.0**middle
+        bright = float(np.mean(exposed / (1.0 + exposed))) > _EXPOSURE_KEY
+        low, high = (low, middle) if bright else (middle, high)
+    return float(2.0 ** (0.5 * (low + high)))

@@ -44,7 +44,7 @@ def grid() -> list[tuple[str, taa.Config, taa.Params]]:
     ):
         config = replace(base, history_filter=name, rectify=rectify)  # pyright: ignore[reportArgumentType]
         label = f"{weight},{name},{rectify},{gamma}"
-        members.append((label, config, taa.params(weight, variance_gamma=gamma)))
+        members.append((label, config, taa.default_params(weight, variance_gamma=gamma)))
     return members
 
 

@@ -54,6 +54,7 @@ class Sky:
     horizon: tuple[float, float, float] = (0.5, 0.5, 0.5)
     ground: tuple[float, float, float] = (0.5, 0.5, 0.5)
     visibility: float = 1.0
+    bounce: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def scene(
