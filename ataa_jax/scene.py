@@ -286,7 +286,7 @@ def load_mesh(path: str | Path) -> SceneSource:
         )
     try:
         loaded = trimesh.load_scene(path)
-        dumped = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh)]
+        placed = _placed(loaded)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
@@ -296,7 +296,7 @@ def load_mesh(path: str | Path) -> SceneSource:
     textures: list[TextureSource] = []
     meshes: list[MeshSource] = []
     warnings: list[str] = []
-    for index, mesh in enumerate(dumped):
+    for index, (mesh, normal) in enumerate(placed):
         if len(mesh.faces) == 0:
             continue
         if not np.all(np.isfinite(mesh.vertices)):
@@ -304,9 +304,6 @@ def load_mesh(path: str | Path) -> SceneSource:
         uv = getattr(mesh.visual, "uv", None)
         name = str(mesh.metadata.get("name", f"mesh {index}"))
         materials.append(_mesh_material(mesh, name, textures, warnings))
-        # trimesh keeps the file's own normals here; its property would make up smooth
-        # ones, which round off every edge of a file that has none.
-        normal = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
         meshes.append(
             MeshSource(
                 name=name,
@@ -320,6 +317,31 @@ def load_mesh(path: str | Path) -> SceneSource:
     if not meshes:
         raise InputError(f"scene {path} holds no triangles; nothing to draw")
     return SceneSource(path.stem, meshes, materials, textures, warnings=warnings)
+
+
+def _placed(
+    loaded: trimesh.Scene,
+) -> list[tuple[trimesh.Trimesh, np.ndarray | None]]:
+    """Returns the meshes of a trimesh scene in world space, with the file's normals."""
+    found = []
+    for node in loaded.graph.nodes_geometry:
+        matrix, name = loaded.graph[node]
+        mesh = loaded.geometry[name]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        normal = None
+        # Only normals from the file stand here before anyone asks: `vertex_normals`
+        # would make up smooth ones, which round off every edge of a file without, and
+        # `Scene.dump` forgets those of the file.
+        if "vertex_normals" in mesh._cache:
+            x, y, z = np.asarray(matrix, np.float64)[:3, :3].T
+            cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], 1)
+            side = np.copysign(1.0, x @ np.cross(y, z))
+            normal = np.asarray(mesh.vertex_normals) @ (side * cofactors).T
+        mesh = mesh.copy()
+        mesh.apply_transform(matrix)
+        found.append((mesh, normal))
+    return found
 
 
 def _flipped(uv: np.ndarray) -> np.ndarray:

@@ -1,0 +1,275 @@
+"""Packing of scenes (triangles, pyramids, ids, bounds), and meshes beside glTF."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from ataa_jax import scene, types
+from ataa_jax.errors import InputError
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+FACE = np.array([[0, 1, 2]], np.int32)
+
+
+def lone(
+    texture: scene.TextureSource | None = None,
+    finish: scene.MaterialSource | None = None,
+    **fields: Any,
+) -> scene.SceneSource:
+    """A scene of one mesh, a triangle unless told otherwise."""
+    mesh = {"name": "mesh", "position": TRIANGLE, "triangles": FACE, "material": 0}
+    return scene.SceneSource(
+        "lone",
+        [scene.MeshSource(**{**mesh, **fields})],
+        [finish or scene.MaterialSource()],
+        [] if texture is None else [texture],
+    )
+
+
+def pyramid(image: np.ndarray, srgb: bool, alpha_mode: str = "OPAQUE") -> list:
+    """The levels of a packed base colour texture, uint8 (h, w, 4)."""
+    material = scene.MaterialSource(base_color_texture=0, alpha_mode=alpha_mode)
+    source = lone(scene.TextureSource(image, srgb), material)
+    table = scene.pack(source)[0].textures
+    found = []
+    for level in range(int(table.level_count[0])):
+        height, width = (
+            int(table.level_height[0, level]),
+            int(table.level_width[0, level]),
+        )
+        start = int(table.level_offset[0, level])
+        flat = np.asarray(table.texels)[start : start + height * width]
+        channels = np.stack([flat >> shift & 255 for shift in (0, 8, 16, 24)], axis=-1)
+        found.append(channels.reshape(height, width, 4).astype(np.uint8))
+    return found
+
+
+# --- mip pyramids --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 5), (8, 4), (100, 37)])
+@pytest.mark.parametrize("srgb", [True, False])
+def test_constant_images_stay_constant_down_to_one_texel(size, srgb):
+    for code in range(0, 256, 15):
+        image = np.full((*size, 4), (code, 255 - code, 9, 255), np.uint8)
+        levels = pyramid(image, srgb)
+        assert levels[-1].shape == (1, 1, 4)
+        for level in levels:
+            np.testing.assert_array_equal(
+                level, np.broadcast_to(image[0, 0], level.shape)
+            )
+
+
+def covered(extent: int, half: int) -> np.ndarray:
+    """Share of each of `extent` texels in the area that each of `half` covers."""
+    edge = np.arange(half + 1) * extent / half
+    first, last = edge[:-1, None], edge[1:, None]
+    texel = np.arange(extent)[None]
+    share = np.minimum(last, texel + 1) - np.maximum(first, texel)
+    return np.maximum(share, 0.0) * half / extent
+
+
+@pytest.mark.parametrize("size", [(7, 5), (8, 4), (13, 1), (3, 2)])
+@pytest.mark.parametrize("srgb", [True, False])
+def test_a_level_is_the_mean_light_of_the_area_it_covers(size, srgb):
+    image = np.random.default_rng(0).integers(0, 256, (*size, 4), np.uint8)
+    image[..., 3] = 255
+    light = image[..., :3] / 255.0
+    if srgb:
+        high = ((light + 0.055) / 1.055) ** 2.4
+        light = np.where(light <= 0.04045, light / 12.92, high)
+    half = [max(extent // 2, 1) for extent in size]
+    rows, columns = covered(size[0], half[0]), covered(size[1], half[1])
+    mean = np.einsum("ah,bw,hwc->abc", rows, columns, light)
+    if srgb:
+        high = 1.055 * mean ** (1 / 2.4) - 0.055
+        mean = np.where(mean <= 0.0031308, mean * 12.92, high)
+    levels = pyramid(image, srgb)
+    np.testing.assert_array_equal(levels[0], image)
+    # Half a code of rounding, and 1/40 of one from the table that encodes sRGB.
+    assert np.abs(levels[1][..., :3] - mean * 255.0).max() <= 0.53
+
+
+def test_the_colour_behind_holes_does_not_darken_leaves():
+    image = np.zeros((4, 4, 4), np.uint8)
+    image[::2] = 10, 200, 30, 255
+    for level in pyramid(image, True, "MASK")[1:]:
+        np.testing.assert_array_equal(
+            level[..., :3], level[..., :3] * 0 + [10, 200, 30]
+        )
+        np.testing.assert_array_equal(level[..., 3], level[..., 3] * 0 + 128)
+
+
+def test_a_scene_without_textures_gets_one_white_texel():
+    assert np.asarray(scene.pack(lone())[0].textures.texels).tolist() == [0xFFFFFFFF]
+
+
+# --- triangles -----------------------------------------------------------------------
+
+
+def test_triangles_without_area_or_not_finite_are_left_out_and_counted():
+    position = np.vstack([TRIANGLE, [[np.nan, 0, 0], [2, 0, 0]]]).astype(np.float32)
+    faces = np.array([[0, 1, 2], [0, 1, 4], [0, 1, 3], [0, 0, 1]], np.int32)
+    packed, notes = scene.pack(lone(position=position, triangles=faces))
+    np.testing.assert_array_equal(packed.geometry.position, [TRIANGLE])
+    assert [note.split()[0] for note in notes] == ["3"]
+    with pytest.raises(InputError):
+        scene.pack(lone(position=position, triangles=faces[3:]))
+
+
+@pytest.mark.parametrize("scale", [1e-18, 1.0, 3e38])
+def test_normals_are_unit_at_any_scale_of_float32(scale):
+    packed, _ = scene.pack(lone(position=TRIANGLE * np.float32(scale)))
+    np.testing.assert_array_equal(packed.geometry.normal, [[[0, 0, 1]] * 3])
+
+
+def test_bad_normals_become_flat_and_bad_uv_zero():
+    normal = np.array([[0, 0, 0], [np.nan, 0, 1], [0, 3, 4]], np.float32)
+    uv = np.array([[np.nan, 1], [np.inf, 0], [2, 3]], np.float32)
+    geometry = scene.pack(lone(normal=normal, uv=uv))[0].geometry
+    # One rounding of float32 in the length.
+    np.testing.assert_allclose(
+        geometry.normal[0], [[0, 0, 1], [0, 0, 1], [0, 0.6, 0.8]], atol=1e-7
+    )
+    np.testing.assert_array_equal(geometry.uv[0], [[0, 1], [0, 0], [2, 3]])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"material": 1},
+        {"material": -1},
+        {"group": 1},
+        {"triangles": np.array([[0, 1, 3]], np.int32)},
+        {"triangles": np.array([[0, 1, -1]], np.int32)},
+    ],
+)
+def test_ids_that_name_nothing_are_refused(bad):
+    with pytest.raises(InputError, match="there are"):
+        scene.pack(lone(**bad))
+
+
+def test_a_texture_that_is_not_there_is_refused():
+    with pytest.raises(InputError, match="texture 4"):
+        scene.pack(lone(finish=scene.MaterialSource(base_color_texture=4)))
+
+
+def test_blended_materials_are_masked_at_one_half():
+    material = scene.MaterialSource(alpha_mode="BLEND", alpha_cutoff=0.9)
+    packed = scene.pack(lone(finish=material))[0].materials
+    assert bool(packed.alpha_masked[0])
+    assert float(packed.alpha_cutoff[0]) == 0.5
+
+
+def test_a_scene_may_have_no_lights():
+    lights = scene.pack(lone())[0].lights
+    assert (lights.kind.shape, lights.position.shape) == ((0,), (0, 3))
+
+
+def test_bounds_follow_the_moving_groups():
+    def transforms(time: float) -> np.ndarray:
+        matrices = np.tile(np.eye(3, 4, dtype=np.float32), (2, 1, 1))
+        matrices[1, 0, 3] = 10.0 * time
+        return matrices
+
+    meshes = [
+        scene.MeshSource(name, TRIANGLE, FACE, 0, group=group)
+        for group, name in enumerate(("still", "moving"))
+    ]
+    source = scene.SceneSource(
+        "two",
+        meshes,
+        [scene.MaterialSource()],
+        group_names=["static", "moving"],
+        transforms=transforms,
+        duration=1.0,
+    )
+    low, high = scene.bounds(source, 0.5)
+    np.testing.assert_array_equal([low, high], [[0, 0, 0], [6, 1, 0]])
+
+
+# --- meshes beside glTF --------------------------------------------------------------
+
+
+def write_obj(folder, texture: str = "") -> Any:
+    Image.fromarray(np.full((2, 2, 3), (0, 255, 0), np.uint8)).save(folder / "t.png")
+    (folder / "a.mtl").write_text(f"newmtl paint\nKd 0.5 0.25 1\n{texture}\n")
+    (folder / "a.obj").write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+        "usemtl paint\nf 1/1 2/2 3/3\n"
+    )
+    return folder / "a.obj"
+
+
+def test_the_diffuse_colour_of_an_mtl_is_linear(tmp_path):
+    (material,) = scene.load_mesh(write_obj(tmp_path)).materials
+    # trimesh keeps Kd as 8-bit codes.
+    np.testing.assert_allclose(material.base_color, [0.5, 0.25, 1, 1], atol=0.5 / 255)
+    assert material.metallic == 0.0
+    assert material.base_color_texture == types.NO_TEXTURE
+
+
+def test_an_obj_texture_is_read_with_v_turned_down(tmp_path):
+    source = scene.load_mesh(write_obj(tmp_path, "map_Kd t.png"))
+    mesh = source.meshes[0]
+    assert source.textures[0].texels[0, 0].tolist() == [0, 255, 0, 255]
+    assert mesh.uv is not None
+    np.testing.assert_allclose(mesh.uv[:, 1], 1.0 - mesh.position[:, 1])
+
+
+def test_a_file_without_normals_keeps_its_facets(tmp_path):
+    trimesh.creation.box().export(tmp_path / "box.stl")
+    geometry = scene.pack(scene.load_mesh(tmp_path / "box.stl"))[0].geometry
+    assert np.abs(np.asarray(geometry.normal)).max(axis=-1).min() == 1.0
+
+
+def test_normals_in_a_file_are_kept(tmp_path):
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0.6 0.8\nf 1//1 2//1 3//1\n"
+    )
+    normal = scene.load_mesh(tmp_path / "a.obj").meshes[0].normal
+    assert normal is not None
+    np.testing.assert_allclose(normal, [[0, 0.6, 0.8]] * 3, atol=1e-6)
+
+
+def test_vertex_colours_are_averaged_with_a_warning(tmp_path):
+    box = trimesh.creation.box()
+    red = np.tile([255, 0, 0, 255], (8, 1)).astype(np.uint8)
+    box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=red)
+    box.export(tmp_path / "box.ply")
+    source = scene.load_mesh(tmp_path / "box.ply")
+    assert source.materials[0].base_color == (1.0, 0.0, 0.0, 1.0)
+    assert len(source.warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.obj", b"hello"),
+        ("a.obj", b"v 0 0 0\nf 1 2 9\n"),
+        ("a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+        ("a.obj", b"\xff\xfe\x00"),
+        ("a.stl", b"xx"),
+        ("a.ply", b""),
+        ("a.ply", b"ply\nbad"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n"),
+        ("a.xyz", b"0 0 0\n1 1 1\n"),  # points, no triangles
+        ("a.zip", b"PK"),
+        ("a.unknown", b"x"),
+    ],
+)
+def test_malformed_meshes_are_refused_in_one_sentence(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        scene.load_mesh(tmp_path / name)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_meshes_and_folders_are_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "none.obj"):
+        with pytest.raises(InputError, match="does not exist"):
+            scene.load_mesh(path)
