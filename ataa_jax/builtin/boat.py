@@ -11,8 +11,8 @@ from ataa_jax.builtin import shapes
 from ataa_jax.builtin.shapes import Part, Point, Shape, box, line, merge, sagging, tube
 
 _LENGTH = 7.4
-_MAST = np.array([0.0, 0.0, 0.75])
-_MAST_TOP = 8.9
+_MAST_Z = 0.75
+_MAST_TOP = 7.9
 _BOOM_END = (0.0, 1.62, -2.75)
 
 
@@ -99,11 +99,9 @@ def _hull() -> list[Part]:
             )
         )
     edge = _section(np.linspace(-1.0, 1.0, 33), np.zeros(33))
-    centre = edge.mean(axis=0)
+    centre = (edge[0] + edge[-1]) / 2.0
     fan = np.stack([np.broadcast_to(centre, edge.shape), edge])
-    transom = shapes.sheet(fan)
-    if transom.normal[:, 2].mean() > 0:
-        transom = shapes.flipped(transom)
+    transom = shapes.facing(shapes.sheet(fan), (0, 0, -1))
     found.append(Part("boat transom", transom, "varnish"))
     rails = []
     for sign in (-1.0, 1.0):
@@ -129,9 +127,7 @@ def _deck() -> list[Part]:
     x = across[None, :] * (edge[:, None, 0] - 0.02)
     y = edge[:, None, 1] - 0.06 + 0.07 * (1.0 - across[None, :] ** 2)
     z = edge[:, None, 2] + 0 * x
-    deck = shapes.sheet(np.stack([x, y, z], axis=-1))
-    if deck.normal[:, 1].mean() < 0:
-        deck = shapes.flipped(deck)
+    deck = shapes.facing(shapes.sheet(np.stack([x, y, z], axis=-1)), (0, 1, 0))
     # The cabin: a rounded box, lofted from the cockpit forward.
     along = np.linspace(-0.6, 2.1, 15)
     t = np.linspace(0.0, np.pi, 17)
@@ -147,22 +143,15 @@ def _deck() -> list[Part]:
         ],
         axis=-1,
     )
-    roof = shapes.sheet(cabin)
-    if roof.normal[:, 1].mean() < 0:
-        roof = shapes.flipped(roof)
+    roof = shapes.facing(shapes.sheet(cabin), (0, 1, 0))
     rear = np.stack([np.broadcast_to(cabin[0].mean(0), cabin[0].shape), cabin[0]])
-    bulkhead = shapes.sheet(rear)
-    if bulkhead.normal[:, 2].mean() > 0:
-        bulkhead = shapes.flipped(bulkhead)
-    ports = []
-    for side in (-1, 1):
-        for z in (-0.1, 0.5, 1.1):
-            ports.append(_port(side, z))
+    bulkhead = shapes.facing(shapes.sheet(rear), (0, 0, -1))
+    ports = [_port(side, z) for side in (-1, 1) for z in (-0.1, 0.5, 1.1)]
     coaming = [
-        box((side - 0.03, 0.75, -2.9), (side + 0.03, 1.1, -0.6))
+        box((side - 0.025, 0.75, -2.9), (side + 0.025, 1.02, -0.6))
         for side in (-0.66, 0.66)
     ]
-    coaming.append(box((-0.66, 0.75, -2.95), (0.66, 1.1, -2.9)))
+    coaming.append(box((-0.685, 0.75, -2.95), (0.685, 1.02, -2.9)))
     hatch = box((-0.3, 0.84, -0.64), (0.3, 1.28, -0.6))
     seats = box((-0.63, 0.8, -2.9), (0.63, 0.89, -0.64))
     return [
@@ -185,7 +174,7 @@ def _port(side: float, z: float) -> Shape:
 
 
 def _spars() -> list[Part]:
-    mast = np.array([_MAST + (0.0, y, 0.0) for y in np.linspace(0.8, _MAST_TOP, 12)])
+    mast = np.array([(0.0, y, _MAST_Z) for y in np.linspace(0.8, _MAST_TOP, 12)])
     thick = np.linspace(0.062, 0.035, 12)
     spreaders = [line((x, 5.1, 0.72), (0.0, 5.15, 0.75), 0.018) for x in (-0.72, 0.72)]
     boom = line((0.0, 1.7, 0.66), _BOOM_END, 0.045, 10)
@@ -194,19 +183,25 @@ def _spars() -> list[Part]:
         line((0.0, _MAST_TOP, 0.75), (0.0, _MAST_TOP + 0.5, 0.75), 0.006),
         line((-0.14, _MAST_TOP + 0.5, 0.75), (0.14, _MAST_TOP + 0.5, 0.75), 0.006),
     ]
-    pulpit = []
-    for side in (-1.0, 1.0):
-        for s in (0.06, 0.3, 0.55, 0.78, 0.96):
-            foot = _section(np.array([side * 1.0]), np.array([s]))[0] * (0.97, 1, 1)
-            pulpit.append(line(tuple(foot), (foot[0], foot[1] + 0.55, foot[2]), 0.012))
+    posts = [
+        line(tuple(foot), (foot[0], foot[1] + 0.55, foot[2]), 0.012)
+        for side in (-1.0, 1.0)
+        for foot in _stanchion_feet(side)
+    ]
     return [
         Part(
             "boat spars",
             merge([tube(mast, thick, 12), *spreaders, boom, bowsprit]),
             "varnish",
         ),
-        Part("rail stanchions", merge([*pulpit, *gear]), "steel"),
+        Part("rail stanchions", merge([*posts, *gear]), "steel"),
     ]
+
+
+def _stanchion_feet(side: float) -> np.ndarray:
+    """Returns where the lifeline's five posts stand on one side's gunwale."""
+    s = np.array([0.06, 0.3, 0.55, 0.78, 0.96])
+    return _section(np.full(5, side), s) * np.array([0.97, 1.0, 1.0])
 
 
 def _sails() -> list[Part]:
@@ -223,7 +218,7 @@ def _sails() -> list[Part]:
     )
     furled = tube(path, bulk, 12)
     stay = np.linspace(0.0, 1.0, 30)
-    foot, head = np.array([0.0, 1.55, 4.75]), np.array([0.0, 8.2, 0.95])
+    foot, head = np.array([0.0, 1.55, 4.75]), np.array([0.0, 7.35, 0.92])
     roll = foot * (1 - stay)[:, None] + head * stay[:, None]
     jib = tube(roll, 0.015 + 0.045 * np.sin(np.pi * (0.25 + 0.72 * stay)), 10)
     ties = []
@@ -252,7 +247,7 @@ def _sails() -> list[Part]:
 
 
 def _rigging() -> list[Part]:
-    top, hounds = (0.0, 8.75, 0.75), (0.0, 5.2, 0.75)
+    top, hounds = (0.0, _MAST_TOP - 0.15, 0.75), (0.0, 5.0, 0.75)
     stays: list[Shape] = []
     running: list[Shape] = []
     ratlines: list[Shape] = []
@@ -267,7 +262,7 @@ def _rigging() -> list[Part]:
         into.append(tube(sagging(start, end, sag, 2 if sag == 0.0 else 10), radius, 5))
 
     rope(stays, top, (0.0, 1.4, 4.85))  # forestay
-    rope(stays, (0.0, 6.4, 0.78), (0.0, 1.2, 3.5))  # inner forestay
+    rope(stays, (0.0, 5.8, 0.78), (0.0, 1.2, 3.5))  # inner forestay
     for side in (-1.0, 1.0):
         rope(stays, top, (side * 0.7, 0.95, -3.5))  # backstays
         rope(stays, top, (side * 0.72, 5.1, 0.72))  # cap shrouds over the spreaders
@@ -282,17 +277,13 @@ def _rigging() -> list[Part]:
         # lazy jacks hold the furled sail
         for z in (-0.6, -1.7):
             rope(running, (side * 0.03, 4.6, 0.7), (side * 0.14, 1.62, z), 0.003)
-        # lifelines between the stanchions
-        feet = _section(np.full(5, side), np.array([0.06, 0.3, 0.55, 0.78, 0.96])) * (
-            0.97,
-            1,
-            1,
-        )
-        for up in (0.3, 0.53):
-            running.append(tube(feet + (0.0, up, 0.0), 0.003, 4))
+        rails = _stanchion_feet(side)  # lifelines between the stanchions
+        running += [
+            tube(rails + np.array([0.0, up, 0.0]), 0.003, 4) for up in (0.3, 0.53)
+        ]
     rope(running, top, _BOOM_END, 0.004, 0.15)  # topping lift
-    rope(running, (0.05, 8.7, 0.72), (0.12, 1.0, 0.6), 0.0035, 0.05)  # main halyard
-    rope(running, (-0.05, 8.0, 0.78), (-0.15, 1.0, 0.7), 0.0035, 0.08)  # jib halyard
+    rope(running, (0.05, 7.7, 0.72), (0.12, 1.0, 0.6), 0.0035, 0.05)  # main halyard
+    rope(running, (-0.05, 7.3, 0.78), (-0.15, 1.0, 0.7), 0.0035, 0.08)  # jib halyard
     rope(
         running, (0.72 * 0.8, 5.1, 0.72), (0.95, 1.0, 0.45), 0.003, 0.04
     )  # flag halyard

@@ -1,119 +1,435 @@
-"""Fences, poles and wires: what is thinner than a pixel."""
+"""The garden: ground, water, path, fences, jetty, poles and wires, and the distance."""
+
+from itertools import pairwise
 
 import numpy as np
 
-from ataa_jax.builtin.landscape import ground
-from ataa_jax.builtin.parts import Parts
-from ataa_jax.builtin.shapes import Point, beam, box, lathe, line, sagging, tube
+from ataa_jax.builtin import plants, shapes
+from ataa_jax.builtin.house import HOOK
+from ataa_jax.builtin.shapes import Part, Point, Shape, box, line, merge, tube
 
-_POLE = (3.3, 7.6, -12.2)  # top of the pole behind the house
-_POLE_LEFT = (-24.0, 8.4, -15.0)
-_POLE_RIGHT = (46.0, 8.2, -62.0)
-_POLE_FRONT = (17.5, 8.8, 16.0)  # out of the main view
+_WATER = -0.4
+WIND_WHEEL = (7.5, 4.4, 6.2)  # hub of the turning wheel
 
 
-def add(parts: Parts) -> None:
-    """Adds fences, poles and wires."""
-    _fence(parts, (-10.8, 0.7), (-3.3, 6.6), 1.15)
-    _fence(parts, (4.55, -7.7), (3.4, -11.6), 0.95)
-    _fence(parts, (4.75, -5.5), (4.95, 0.4), 0.95)
-    _wires(parts)
-    _lights(parts)
+def bank(z: np.ndarray | float) -> np.ndarray:
+    """Returns x of the water's near edge at z."""
+    z = np.asarray(z, float)
+    bend = 0.004 * np.clip(-z - 10.0, 0.0, None) ** 2
+    return 5.3 + 0.5 * np.sin(0.22 * z + 0.6) + 0.5 * np.clip(z - 2.0, 0, None) + bend
+
+
+def ground(x: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
+    """Returns the height of the ground: a lawn, and a channel for the water."""
+    x, z = np.asarray(x, float), np.asarray(z, float)
+    swell = 0.05 * np.sin(0.45 * x + 0.3) * np.cos(0.38 * z)
+    near = bank(z)
+    inside = np.minimum(x - near, near + 11.5 + 0.4 * np.sin(0.3 * z) - x)
+    s = np.clip((inside + 0.7) / 1.5, 0.0, 1.0)
+    return swell - 1.5 * s * s * (3.0 - 2.0 * s)
+
+
+def _spaced(low: float, high: float, far: float, step: float) -> np.ndarray:
+    """Returns grid lines: even steps inside [low, high], then growing ones to ±far."""
+    inner = np.arange(low, high + step, step)
+    grow = step * 1.25 ** np.arange(1, 30)
+    up = inner[-1] + np.cumsum(grow)
+    down = inner[0] - np.cumsum(grow)
+    return np.concatenate([down[down > -far][::-1], inner, up[up < far]])
+
+
+def parts() -> list[Part]:
+    """Returns the garden and everything around it."""
+    return [
+        *_land(),
+        *_paths(),
+        *_shore(),
+        *_fences(),
+        *_jetty(),
+        *_poles(),
+        *_wind_wheel_mast(),
+        *_growth(),
+        *_distance(),
+        *plants.potted(),
+        *plants.woodland(),
+    ]
+
+
+def _land() -> list[Part]:
+    x, z = _spaced(-15.0, 21.0, 260.0, 0.45), _spaced(-22.0, 20.0, 260.0, 0.45)
+    gx, gz = np.meshgrid(x, z)
+    grid = np.stack([gx, ground(gx, gz), gz], axis=-1)
+    lawn = shapes.sheet(grid, np.stack([gx, gz], axis=-1) / 1.4)
+    wx, wz = np.meshgrid(np.linspace(0, 150, 11), np.linspace(-220, 60, 15))
+    grid = np.stack([wx, np.full_like(wx, _WATER), wz], axis=-1)
+    water = shapes.sheet(grid, np.stack([wx, wz], axis=-1) / 3.5)
+    return [Part("lawn", lawn, "lawn"), Part("water", water, "water")]
+
+
+def _bezier(points: list[tuple[float, float]], count: int) -> np.ndarray:
+    """Returns points (count, 2) of a cubic Bézier curve."""
+    a, b, c, d = (np.array(p, float) for p in points)
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    return (
+        a * (1 - t) ** 3 + 3 * b * t * (1 - t) ** 2 + 3 * c * t**2 * (1 - t) + d * t**3
+    )
+
+
+def _paths() -> list[Part]:
+    curve = _bezier([(3.4, 24.0), (2.4, 12.0), (2.2, 8.0), (-0.8, 1.8)], 70)
+    ahead = np.gradient(curve, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    side = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    offsets = np.linspace(-0.95, 0.95, 7)
+    flat = curve[:, None] + side[:, None] * offsets[None, :, None]
+    x, z = flat[..., 0], flat[..., 1]
+    crown = 0.03 + 0.012 * (1.0 - (offsets / 0.95) ** 2)
+    strip = shapes.sheet(
+        np.stack([x, ground(x, z) + crown, z], axis=-1), np.stack([x, z], -1) / 1.1
+    )
+    strip = shapes.facing(strip, (0, 1, 0))
+    edges = []
+    for column in (0, -1):
+        edge = np.stack(
+            [x[:, column], ground(x[:, column], z[:, column]) + 0.02, z[:, column]], -1
+        )
+        edges.append(tube(edge, 0.03, 6))
+    slabs = []
+    random = np.random.default_rng(21)
+    for k, t in enumerate(np.linspace(0.06, 0.96, 9)):
+        px, pz = np.array([0.7, 3.1]) * (1 - t) + np.array([4.9, -1.9]) * t
+        pz += 0.25 * np.sin(5 * t)
+        slab = box((-0.36, -0.08, -0.26), (0.36, 0.035, 0.26)).turned(
+            -40.0 + random.normal(0, 6) + 7 * k % 11
+        )
+        slabs.append(slab.moved((px, float(ground(px, pz)), pz)))
+    return [
+        Part("gravel path", strip, "gravel"),
+        Part("path edges", merge(edges), "frame"),
+        Part("stepping stones", merge(slabs).tiled(1.8), "paving"),
+    ]
+
+
+def _pebble(random: np.random.Generator) -> Shape:
+    """Returns one rounded stone of about a metre, lying on its widest side."""
+    polar, turn = np.linspace(0.0, np.pi, 8), np.linspace(0.0, 2 * np.pi, 11)
+    p, t = np.meshgrid(polar, turn, indexing="ij")
+    ball = np.stack([np.sin(p) * np.cos(t), np.cos(p), np.sin(p) * np.sin(t)], axis=-1)
+    knobs = random.normal(0, 1, (4, 3))
+    swell = 1.0 + 0.12 * np.sin(1.7 * (ball @ knobs.T) + random.uniform(0, 6, 4)).sum(
+        -1
+    )
+    ball = (
+        ball * swell[..., None] * random.uniform((0.4, 0.22, 0.35), (0.55, 0.36, 0.5))
+    )
+    ball[:, -1] = ball[:, 0]
+    return shapes.outward(shapes.sheet(ball, closed=True))
+
+
+def _shore() -> list[Part]:
+    random = np.random.default_rng(22)
+    stones = []
+    for z in np.arange(-16.0, 16.0, 0.42):
+        z0 = z + random.normal(0, 0.08)
+        x = float(bank(z0)) - 0.12 + random.normal(0, 0.12)
+        size = random.uniform(0.5, 1.1)
+        stone = _pebble(random)
+        stone = stone._replace(position=stone.position * size).turned(
+            random.uniform(0, 360)
+        )
+        stones.append(stone.moved((x, float(ground(x, z0)) + 0.03, z0)))
+    return [Part("shore stones", merge(stones), "stone")]
 
 
 def _fence(
-    parts: Parts, start: tuple[float, float], end: tuple[float, float], height: float
-) -> None:
-    """Adds thin upright slats on two rails between posts."""
-    a, b = np.array(start), np.array(end)
+    start: Point, end: Point, height: float, width: float, gap: float
+) -> tuple[Shape, Shape]:
+    """Returns vertical slats, and the posts and bars that hold them."""
+    a, b = np.array(start, float), np.array(end, float)
     length = float(np.linalg.norm(b - a))
-
-    def at(s: float) -> tuple[float, float, float]:
-        x, z = a + (b - a) * s
-        return float(x), float(ground(x, z)), float(z)
-
-    turn = float(np.degrees(np.arctan2(-(b - a)[1], (b - a)[0])))
-    slats, posts = [], []
-    count = int(length / 0.075)
-    for k in range(count):
-        x, y, z = at((k + 0.5) / count)
-        slat = box((-0.016, 0.06, -0.008), (0.016, height, 0.008))
-        slats.append(slat.turned(turn).moved((x, y, z)))
-    spans = max(1, round(length / 1.6))
-    for k in range(spans + 1):
-        x, y, z = at(k / spans)
-        post = box((-0.04, -0.3, -0.085), (0.04, height + 0.06, -0.01))
-        posts.append(post.turned(turn).moved((x, y, z)))
-    for share in (0.22, 0.85):
-        (x0, y0, z0), (x1, y1, z1) = at(0.0), at(1.0)
-        h = height * share
-        posts.append(beam((x0, y0 + h, z0), (x1, y1 + h, z1), 0.022, 0.06))
-    parts.add("slat fence", "slats", *slats)
-    parts.add("fence posts", "slats", *posts)
-
-
-def _pole(parts: Parts, top: Point) -> None:
-    x, y, z = top
-    mast = lathe([(0, -1.5), (0.13, -1.5), (0.085, y), (0, y + 0.01)], 12)
-    parts.add("pole masts", "pole", mast.moved((x, 0.0, z)))
-    parts.add(
-        "pole arms",
-        "pole",
-        beam((x - 0.85, y - 0.35, z), (x + 0.85, y - 0.35, z), 0.09, 0.09),
+    degrees = -np.degrees(np.arctan2(b[2] - a[2], b[0] - a[0]))
+    slats = [
+        box((x, 0.08, 0.0), (x + width, height, 0.018))
+        for x in np.arange(0.03, length - width, width + gap)
+    ]
+    holders = [
+        box((0.0, y, -0.04), (length, y + 0.06, 0.0)) for y in (0.25, height - 0.3)
+    ]
+    holders += [
+        box((x, -0.2, -0.11), (x + 0.07, height + 0.04, -0.04))
+        for x in np.linspace(0.0, length - 0.07, max(round(length / 2.2), 1) + 1)
+    ]
+    return (
+        merge(slats).turned(degrees).moved(start),
+        merge(holders).turned(degrees).moved(start),
     )
-    bell = lathe(
-        [(0, 0), (0.03, 0), (0.05, 0.05), (0.03, 0.1), (0.035, 0.13), (0, 0.15)], 10
-    )
-    for dx in (-0.75, 0.0, 0.75):
-        parts.add(
-            "pole insulators",
-            "gelcoat",
-            bell.moved((x + dx, y - 0.3 + (0.3 if dx == 0 else 0), z)),
+
+
+def _fences() -> list[Part]:
+    west, west_posts = _fence((-10.6, 0.0, 11.0), (-10.6, 0.0, -3.0), 1.45, 0.045, 0.04)
+    east, east_posts = _fence((1.8, 0.0, -5.2), (5.0, 0.0, -5.2), 1.75, 0.032, 0.032)
+    return [
+        Part("slat fence west", west, "slats"),
+        Part("slat fence east", east, "varnish"),
+        Part("fence posts west", west_posts, "slats"),
+        Part("fence posts east", east_posts, "varnish"),
+    ]
+
+
+JETTY_END = 8.0
+_JETTY_NEAR, _JETTY_FAR = -1.35, -2.9  # z of its long sides
+_JETTY_TOP = 0.2
+
+
+def bollards() -> list[Point]:
+    """Returns the tops of the jetty's posts that the boat is tied to."""
+    return [(JETTY_END - 0.1, _JETTY_TOP + 0.3, z) for z in (-1.4, -2.85, -2.95)]
+
+
+def _jetty() -> list[Part]:
+    boards, x = [], 4.5
+    while x < JETTY_END:
+        boards.append(
+            box(
+                (x, _JETTY_TOP - 0.035, _JETTY_FAR), (x + 0.14, _JETTY_TOP, _JETTY_NEAR)
+            )
         )
+        x += 0.152
+    frame = [
+        box((4.5, _JETTY_TOP - 0.16, z), (JETTY_END, _JETTY_TOP - 0.04, z + 0.08))
+        for z in (_JETTY_FAR + 0.1, _JETTY_NEAR - 0.18)
+    ]
+    posts = [
+        line((px, -1.8, pz), (px, _JETTY_TOP + 0.42, pz), 0.07, 10)
+        for px in (5.4, 6.7, JETTY_END - 0.1)
+        for pz in (_JETTY_NEAR + 0.05, _JETTY_FAR - 0.05)
+    ]
+    bow_posts = [line((7.5, -1.8, -7.5), (7.5, 0.7, -7.5), 0.09, 10)]
+    return [
+        Part("jetty boards", merge(boards).tiled(8 * 0.152, 2.4), "deck"),
+        Part("jetty frame", merge(frame), "pole"),
+        Part("jetty posts", merge(posts + bow_posts), "pole"),
+    ]
 
 
-def _ends(top: Point) -> list[Point]:
-    x, y, z = top
-    return [(x - 0.75, y - 0.16, z), (x, y + 0.12, z), (x + 0.75, y - 0.16, z)]
-
-
-def _wires(parts: Parts) -> None:
-    for top in (_POLE, _POLE_LEFT, _POLE_RIGHT, _POLE_FRONT):
-        _pole(parts, top)
-    for other, sag in ((_POLE_LEFT, 0.8), (_POLE_RIGHT, 1.7), (_POLE_FRONT, 0.9)):
-        for a, b in zip(_ends(_POLE), _ends(other), strict=True):
-            parts.add("wire overhead", "cable", tube(sagging(a, b, sag, 40), 0.010, 5))
-    for dz in (-0.12, 0.12):
-        drop = sagging((3.3, 7.0, -12.2), (0.45, 6.75, -5.0 + dz), 0.35)
-        parts.add("wire to house", "cable", tube(drop, 0.009, 5))
-    guy = line((3.3, 6.6, -12.2), (1.6, 0.0, -13.6), 0.008, 5)
-    parts.add("wire guy", "cable", guy)
-    # A line of washing would hide the house; a bare line between two trees does not.
-    string = sagging((-8.1, 2.75, 0.1), (2.35, 2.75, 0.1), 0.35, 40)
-    parts.add("wire lights", "cable", tube(string, 0.005, 5))
-    bulb = lathe(
-        [(0, -0.05), (0.02, -0.035), (0.026, -0.01), (0.015, 0.03), (0, 0.04)], 8
-    )
-    bulbs = [bulb.moved(tuple(p - (0, 0.05, 0))) for p in string[2:-2:3]]
-    parts.add("lamp string", "lamp", *bulbs)
-
-
-def _lights(parts: Parts) -> None:
-    """Adds low path lamps."""
-    for x, z in ((1.15, 6.6), (3.55, 7.2), (0.0, 2.9), (3.9, 1.0)):
-        y = float(ground(np.array(x), np.array(z)))
-        post = lathe([(0, 0), (0.03, 0), (0.03, 0.5), (0, 0.5)], 10)
-        glow = lathe(
+def _poles() -> list[Part]:
+    """Returns poles, overhead wires 12 mm thick, insulators, and a string of lamps."""
+    feet = [(-34.0, -17.0), (-15.5, -15.0), (3.3, -13.5), (21.5, -20.0), (44.0, -34.0)]
+    poles, insulators, wires = [], [], []
+    hang: list[list[Point]] = []
+    for x, z in feet:
+        top = 8.2
+        poles.append(
+            tube(
+                np.array([(x, -0.5, z), (x, 4.0, z), (x, top, z)]),
+                np.array([0.14, 0.12, 0.1]),
+                10,
+            )
+        )
+        poles.append(
+            box((x - 0.05, top - 0.45, z - 0.95), (x + 0.05, top - 0.33, z + 0.95))
+        )
+        knob = shapes.lathe(
             [
-                (0, 0.5),
-                (0.045, 0.5),
-                (0.045, 0.5),
-                (0.045, 0.6),
-                (0.045, 0.6),
-                (0, 0.6),
+                (0.0, 0.0),
+                (0.02, 0.0),
+                (0.05, 0.04),
+                (0.03, 0.07),
+                (0.055, 0.1),
+                (0.03, 0.15),
+                (0.0, 0.16),
             ],
-            12,
+            10,
         )
-        cap = lathe([(0, 0.6), (0.1, 0.6), (0.1, 0.61), (0.02, 0.65), (0, 0.65)], 16)
-        parts.add("path lamps", "frame", post.moved((x, y, z)), cap.moved((x, y, z)))
-        parts.add("lamp path", "lamp", glow.moved((x, y, z)))
+        points: list[Point] = []
+        for dz in (-0.85, 0.0, 0.85):
+            y = top if dz == 0.0 else top - 0.33
+            insulators.append(knob.moved((x, y, z + dz)))
+            points.append((x, y + 0.15, z + dz))
+        hang.append(points)
+    for left, right in pairwise(hang):
+        for a, b in zip(left, right, strict=True):
+            span = float(np.linalg.norm(np.subtract(b, a)))
+            wires.append(tube(shapes.sagging(a, b, 0.022 * span, 28), 0.006, 5))
+    drops = [
+        tube(
+            shapes.sagging(
+                hang[2][k], (HOOK[0], HOOK[1] - 0.15 * k, HOOK[2]), 0.25, 14
+            ),
+            0.006,
+            5,
+        )
+        for k in range(3)
+    ]
+    ends: list[Point] = [
+        (2.2, 3.0, -2.15),
+        (5.0, 3.1, 3.4),
+        (WIND_WHEEL[0], 3.6, WIND_WHEEL[2]),
+    ]
+    string, bulbs = [], []
+    bulb = shapes.lathe(
+        [(0.0, -0.1), (0.03, -0.075), (0.035, -0.045), (0.014, 0.0), (0.0, 0.0)], 10
+    )
+    for a, b in pairwise(ends):
+        path = shapes.sagging(a, b, 0.45, 25)
+        string.append(tube(path, 0.004, 5))
+        bulbs += [bulb.moved(tuple(p)) for p in path[2:-1:3]]
+    post = line((5.0, 0.0, 3.4), (5.0, 3.15, 3.4), 0.03, 8)
+    return [
+        Part("poles", merge(poles), "pole"),
+        Part("insulators", merge(insulators), "gelcoat"),
+        Part("wire overhead", merge(wires), "cable"),
+        Part("wire to the house", merge(drops), "cable"),
+        Part("wire of lamps", merge(string), "cable"),
+        Part("lamp bulbs", merge(bulbs), "lamp"),
+        Part("lamp post", post, "frame"),
+        *_bollard_lamps(),
+    ]
+
+
+def _bollard_lamps() -> list[Part]:
+    bodies, glows = [], []
+    for x, z in ((0.75, 3.6), (3.0, 7.6), (-2.9, 2.3)):
+        y = float(ground(x, z))
+        bodies.append(
+            shapes.lathe(
+                [
+                    (0.0, 0.0),
+                    (0.05, 0.0),
+                    (0.05, 0.0),
+                    (0.05, 0.5),
+                    (0.05, 0.5),
+                    (0.0, 0.5),
+                ],
+                14,
+            ).moved((x, y, z))
+        )
+        bodies.append(
+            shapes.lathe(
+                [(0.0, 0.58), (0.06, 0.58), (0.06, 0.58), (0.06, 0.62), (0.0, 0.64)], 14
+            ).moved((x, y, z))
+        )
+        glows.append(
+            shapes.lathe(
+                [(0.0, 0.5), (0.042, 0.5), (0.042, 0.5), (0.042, 0.58), (0.0, 0.58)], 14
+            ).moved((x, y, z))
+        )
+    return [
+        Part("lamp bollards", merge(bodies), "frame"),
+        Part("lamp bollard glow", merge(glows), "lamp"),
+    ]
+
+
+def _wind_wheel_mast() -> list[Part]:
+    x, y, z = WIND_WHEEL
+    mast = tube(np.array([(x, -0.3, z), (x, y, z)]), np.array([0.055, 0.04]), 10)
+    axle = line((x, y, z - 0.35), (x, y, z + 0.08), 0.04, 8)
+    tail = box((x - 0.01, y - 0.22, z - 1.15), (x + 0.01, y + 0.22, z - 0.6))
+    boom = line((x, y, z - 0.3), (x, y, z - 0.7), 0.018)
+    return [
+        Part("wind wheel mast", merge([mast, axle, boom]), "frame"),
+        Part("wind wheel tail", tail, "red"),
+    ]
+
+
+def _growth() -> list[Part]:
+    """Returns grasses, reeds and flowers that stand in the ground."""
+    random = np.random.default_rng(23)
+    z = random.uniform(-30.0, 13.0, 420)
+    x = bank(z) + random.normal(-0.1, 0.3, 420)
+    keep = (z < -6.0) | (z > 6.6)
+    reed = np.stack([x, ground(x, z) - 0.05, z], axis=-1)[
+        keep & (random.random(420) < 0.75)
+    ]
+    zf = random.uniform(-60.0, 12.0, 500)
+    xf = bank(zf) + 11.5 + random.normal(0.2, 0.5, 500)
+    far = np.stack([xf, ground(xf, zf) - 0.05, zf], axis=-1)
+    reeds = merge(
+        [
+            plants.upright(reed, random.uniform(0.5, 1.25, len(reed)), random),
+            plants.upright(far, random.uniform(1.0, 2.0, len(far)), random),
+        ]
+    )
+    spots = [
+        np.stack(
+            [
+                random.uniform(-10.5, -10.1, 90),
+                np.zeros(90),
+                random.uniform(-2.8, 11, 90),
+            ],
+            -1,
+        ),
+        np.stack(
+            [
+                random.uniform(1.8, 5.0, 40),
+                np.zeros(40),
+                random.uniform(-5.1, -4.6, 40),
+            ],
+            -1,
+        ),
+        np.stack(
+            [random.uniform(2.4, 2.8, 30), np.zeros(30), random.uniform(-4.5, 0.6, 30)],
+            -1,
+        ),
+        random.uniform((-10.0, 0, 2.2), (7.0, 0, 12.0), (60, 3)),
+    ]
+    foot = np.concatenate(spots)
+    foot = foot[(foot[:, 0] < bank(foot[:, 2]) - 0.3) & ~_on_path(foot)]
+    foot[:, 1] = ground(foot[:, 0], foot[:, 2]) - 0.03
+    tufts = plants.upright(foot, random.uniform(0.16, 0.42, len(foot)), random)
+    bed = np.stack(
+        [
+            random.uniform(-9.5, -2.7, 190),
+            np.zeros(190),
+            random.uniform(1.15, 1.75, 190),
+        ],
+        -1,
+    )
+    bed[:, 1] = ground(bed[:, 0], bed[:, 2]) - 0.03
+    flowers = plants.upright(bed[:110], random.uniform(0.35, 0.6, 110), random)
+    between = plants.upright(bed[110:], random.uniform(0.35, 0.7, 80), random)
+    soil = box((-9.6, -0.2, 1.02), (-2.6, 0.06, 1.85))
+    return [
+        Part("leaf reeds", reeds, "leaf reed"),
+        Part("leaf tufts", merge([tufts, between]), "leaf tuft"),
+        Part("leaf bed flowers", flowers, "leaf lavender"),
+        Part("flower bed", soil, "soil"),
+    ]
+
+
+def _on_path(foot: np.ndarray) -> np.ndarray:
+    curve = _bezier([(3.4, 24.0), (2.4, 12.0), (2.2, 8.0), (-0.8, 1.8)], 70)
+    gap = np.linalg.norm(foot[:, None, [0, 2]] - curve[None], axis=-1).min(axis=1)
+    return gap < 1.15
+
+
+def _distance() -> list[Part]:
+    """Returns what hides the horizon: a line of trees, and two rows of hills."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 97)
+    ring = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=-1)
+    trees = []
+    for radius, height, share in ((105.0, 8.0, 0.0), (140.0, 12.0, 0.37)):
+        wave = radius * (1.0 + 0.07 * np.sin(5 * turn + share * 9))
+        low = ring * wave[:, None] - (0.0, 1.0, 0.0)
+        rows = np.stack([low + np.array([0.0, height, 0.0]), low])
+        u = turn / (2 * np.pi) * round(2 * np.pi * radius / (4 * height)) + share
+        uv = np.stack(np.broadcast_arrays(u[None], np.array([0.04, 0.98])[:, None]), -1)
+        trees.append(shapes.sheet(rows, uv))
+    hills = []
+    for name, radius, height, seed in (
+        ("hill near", 190.0, 16.0, 31),
+        ("hill far", 250.0, 44.0, 32),
+    ):
+        random = np.random.default_rng(seed)
+        ridge = sum(
+            np.sin(k * turn + random.uniform(0, 6)) * random.uniform(0.5, 1.0) / k
+            for k in range(2, 9)
+        )
+        top = height * np.clip(0.55 + 0.4 * np.asarray(ridge), 0.15, None)
+        share = np.linspace(0.0, 1.0, 6)[:, None]
+        profile = np.sin(share * np.pi / 2)
+        grid = ring[None] * (radius + 60.0 * share)[..., None]
+        grid[..., 1] = -1.0 + top[None] * profile
+        sheet = shapes.sheet(grid, closed=True)
+        hills.append(Part(name, shapes.facing(sheet, (0, 1, 0)), name))
+    return [Part("leaf far line", merge(trees), "leaf far trees"), *hills]

@@ -3,6 +3,8 @@
 It faces +z. Lengths are metres; the garden's ground lies at y = 0.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from ataa_jax.builtin import shapes
@@ -15,7 +17,7 @@ _FRONT = -3.0  # outer face of the ground floor
 _UPPER_FLOOR = 3.35
 _UPPER_FRONT = -3.7
 _UPPER_TOP = 6.1
-GABLE_HOOK = (-0.7, 6.0, -7.2)  # where the overhead wires meet the house
+HOOK = (-0.1, 6.9, -7.2)  # where the overhead wires meet the house
 
 
 def parts() -> list[Part]:
@@ -110,7 +112,7 @@ def _roofs() -> list[Part]:
         ((-8.5, 0.0, -9.3, -2.9), _UPPER_TOP + 0.24),
     ):
         corners = [(x0, z0), (x1, z0), (x1, z1), (x0, z1), (x0, z0)]
-        for (ax, az), (bx, bz) in zip(corners[:-1], corners[1:], strict=True):
+        for (ax, az), (bx, bz) in pairwise(corners):
             trims.append(beam((ax, y + 0.02, az), (bx, y + 0.02, bz), 0.06, 0.09))
     soffit = box((-8.3, _UPPER_TOP - 0.02, -3.68), (-0.15, _UPPER_TOP, -3.05))
     chimney = [box((-6.9, 6.3, -8.0), (-6.0, 7.25, -7.3))]
@@ -135,8 +137,10 @@ def _window(
         box((x0 + w, y0, z - depth), (x1 - w, y0 + w, z)),
         box((x0 + w, y1 - w, z - depth), (x1 - w, y1, z)),
     ]
-    for x in mullions:
-        bars.append(box((x - 0.015, y0 + w, z - 0.055), (x + 0.015, y1 - w, z - 0.01)))
+    bars += [
+        box((x - 0.015, y0 + w, z - 0.055), (x + 0.015, y1 - w, z - 0.01))
+        for x in mullions
+    ]
     pane = quad((x0, y0, z - 0.04), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0))
     sill = box((x0 - 0.06, y0 - 0.04, z - 0.05), (x1 + 0.06, y0, z + 0.2))
     return bars, pane.tiled(5.0, y1 - y0), sill
@@ -213,7 +217,7 @@ def _room() -> list[Part]:
         row = np.stack(
             [x + 0.5 * folds, 0 * folds, -3.5 + 0.05 * np.sin(folds * 44.0)], axis=-1
         )
-        grid = np.stack([row + (0.0, y, 0.0) for y in (2.85, FLOOR + 0.03)])
+        grid = np.stack([row + np.array([0.0, y, 0.0]) for y in (2.85, FLOOR + 0.03)])
         curtain.append(shapes.sheet(grid))
     return [
         Part("room walls", merge(walls), "interior"),
@@ -263,7 +267,7 @@ def _railing() -> list[Part]:
     y0, y1 = _UPPER_FLOOR + 0.05, _UPPER_FLOOR + 1.0
     corners = [(-7.8, -3.7), (-7.8, -2.25), (2.15, -2.25), (2.15, -8.9)]
     bars, posts, handrails = [], [], []
-    for (ax, az), (bx, bz) in zip(corners[:-1], corners[1:], strict=True):
+    for (ax, az), (bx, bz) in pairwise(corners):
         length = float(np.hypot(bx - ax, bz - az))
         for s in np.linspace(0.0, 1.0, round(length / 0.11) + 1)[1:-1]:
             x, z = ax + (bx - ax) * s, az + (bz - az) * s
@@ -418,7 +422,7 @@ def _fittings() -> list[Part]:
     rods.append(
         line((mast[0] - 0.75, 8.32, mast[2]), (mast[0] + 0.7, 8.32, mast[2]), 0.009)
     )
-    hook = tube(shapes.sagging(GABLE_HOOK, (-0.1, 6.9, -7.2), 0.0, 2), 0.02)
+    hook = line((-0.75, 6.0, -7.2), HOOK, 0.02)
     return [
         Part("wall lamp", lamp_body, "frame"),
         Part("lamp glow", merge([glow, *strips]), "lamp"),

@@ -85,7 +85,7 @@ def grass() -> tuple[np.ndarray, np.ndarray]:
     """Returns lawn: colour and normal map."""
     grey = _photograph("grass")
     patch = noise(512, 4, seed=1)
-    color = tint(grey * 1.25 - 0.08, (0.10, 0.19, 0.05), (0.62, 0.74, 0.30))
+    color = tint(grey * 1.25 - 0.08, (0.09, 0.16, 0.05), (0.50, 0.62, 0.27))
     dry = np.array([1.10, 1.0, 0.78])
     return color * (1.0 + (dry - 1.0) * patch[..., None]), normals(grey, 3.0)
 

@@ -10,7 +10,7 @@ from skimage.draw import polygon
 from ataa_jax.builtin import images
 from ataa_jax.builtin.images import Color
 
-_SUPERSAMPLE = 3
+_SUPERSAMPLE = 2
 
 
 class _Canvas:
@@ -57,7 +57,7 @@ def _leaf(
     color: np.ndarray,
 ) -> None:
     """Draws one pointed leaf with a lighter half and a midrib."""
-    s = np.linspace(0.0, 1.0, 9)[:, None]
+    s = np.linspace(0.0, 1.0, 7)[:, None]
     along = tip - base
     bulge = width * np.sin(np.pi * s**0.8) * (1.0 - 0.25 * s)
     spine = base + along * s

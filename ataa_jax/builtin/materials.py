@@ -106,7 +106,7 @@ def _plain(p: Palette) -> None:
     p.plain("rope", (0.42, 0.36, 0.26), 0.9)
     p.plain("bark", (0.13, 0.095, 0.07), 0.95)
     p.plain("pole", (0.19, 0.14, 0.105), 0.9)
-    p.plain("slats", (0.74, 0.73, 0.70), 0.65)
+    p.plain("slats", (0.43, 0.42, 0.38), 0.65)
     p.plain("terracotta", (0.52, 0.20, 0.105), 0.75)
     p.plain("glazed blue", (0.05, 0.13, 0.27), 0.15)
     p.plain("soil", (0.045, 0.032, 0.024), 1.0)
@@ -118,9 +118,9 @@ def _plain(p: Palette) -> None:
     p.plain("yellow", (0.80, 0.46, 0.04), 0.4)
     p.plain("rubber", (0.02, 0.02, 0.02), 0.8)
     p.plain("linen", (0.58, 0.52, 0.43), 0.95)
-    p.plain("interior", (0.46, 0.40, 0.33), 0.9)
-    p.plain("hill far", (0.16, 0.215, 0.24), 1.0)
-    p.plain("hill near", (0.085, 0.14, 0.09), 1.0)
+    p.plain("interior", (0.33, 0.27, 0.21), 0.9)
+    p.plain("hill far", (0.22, 0.30, 0.36), 1.0)
+    p.plain("hill near", (0.10, 0.155, 0.12), 1.0)
     p.plain("stone", (0.34, 0.33, 0.31), 0.9)
     p.plain("lamp", (0.9, 0.8, 0.6), 0.5)
     p.change("lamp", lambda m: replace(m, emissive=(6.0, 4.2, 2.2)))
@@ -137,7 +137,10 @@ def _cloth_and_glass(p: Palette) -> None:
     textured("awning", images.stripes((0.93, 0.90, 0.84), (0.10, 0.29, 0.38)), 0.9)
     textured("sail", images.sailcloth(), 0.85)
     textured("glass", images.pane(), 0.06)
-    for name in ("awning", "sail"):
+    textured("pennant", images.stripes((0.80, 0.10, 0.08), (0.95, 0.93, 0.90)), 0.9)
+    p.plain("wheel yellow", (0.80, 0.46, 0.04), 0.45)
+    p.plain("wheel white", (0.80, 0.79, 0.75), 0.45)
+    for name in ("awning", "sail", "pennant", "linen", "wheel yellow", "wheel white"):
         p.change(name, lambda m: replace(m, double_sided=True))
     p.materials.append(
         MaterialSource(
@@ -152,15 +155,17 @@ def _cloth_and_glass(p: Palette) -> None:
 
 
 def _leaves(p: Palette) -> None:
-    tree = leaves.foliage((0.13, 0.25, 0.06), (0.50, 0.62, 0.20), 40, 190)
+    tree = leaves.foliage((0.12, 0.21, 0.06), (0.43, 0.54, 0.20), 40, 190)
     p.cut("leaf tree", tree)
-    birch = leaves.foliage((0.28, 0.36, 0.08), (0.72, 0.74, 0.26), 41, 150)
+    birch = leaves.foliage((0.24, 0.32, 0.08), (0.60, 0.66, 0.26), 41, 150)
     p.cut("leaf birch", birch)
     p.cut("leaf hedge", leaves.foliage((0.07, 0.18, 0.06), (0.30, 0.46, 0.16), 42, 230))
     p.cut("leaf blade", leaves.blade((0.12, 0.30, 0.12), (0.42, 0.60, 0.26)))
-    p.cut("leaf tuft", leaves.tuft((0.25, 0.33, 0.10), (0.72, 0.70, 0.32), 43))
-    p.cut("leaf reed", leaves.tuft((0.30, 0.34, 0.14), (0.76, 0.68, 0.40), 44, 26))
+    p.cut("leaf tuft", leaves.tuft((0.18, 0.28, 0.08), (0.50, 0.58, 0.24), 43))
+    p.cut("leaf reed", leaves.tuft((0.24, 0.32, 0.12), (0.66, 0.64, 0.36), 44, 26))
     flower = leaves.foliage((0.45, 0.16, 0.30), (0.95, 0.55, 0.65), 45, 150)
     p.cut("leaf flower", flower)
-    line = leaves.treeline((0.10, 0.17, 0.08), (0.40, 0.48, 0.24), 46)
+    lavender = leaves.tuft((0.30, 0.36, 0.24), (0.68, 0.52, 0.86), 47, 60)
+    p.cut("leaf lavender", lavender)
+    line = leaves.treeline((0.16, 0.23, 0.16), (0.42, 0.50, 0.32), 46)
     p.cut("leaf far trees", line, clamp=False)

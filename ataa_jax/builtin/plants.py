@@ -1,255 +1,272 @@
-"""Trees, hedge, tufts and potted plants; leaves are cut out by alpha."""
+"""Trees, hedges, pots and grasses: modelled wood, and leaves on alpha-cut cards."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from ataa_jax.builtin.landscape import WATER, ground, shore
-from ataa_jax.builtin.parts import Parts
-from ataa_jax.builtin.shapes import Point, Shape, cards, lathe, merge, sheet, tube, unit
+from ataa_jax.builtin import shapes
+from ataa_jax.builtin.shapes import Part, Point, Shape, merge, tube, unit
 
 
-def add(parts: Parts) -> None:
-    """Adds everything that grows."""
-    _tree(parts, (-8.9, 0.0, 2.4), 6.6, 2.7, "leaf tree", seed=70)
-    _tree(parts, (3.6, -0.1, -15.0), 7.5, 2.4, "leaf birch", seed=71)
-    for k, (x, z, h, r) in enumerate(
-        [
-            (-13.5, -13.0, 9.5, 3.6),
-            (-6.0, -15.0, 8.6, 3.2),
-            (-1.6, -17.5, 8.0, 2.8),
-            (-21.0, -6.0, 9, 3.8),
-        ]
-    ):
-        _tree(parts, (x, 0.0, z), h, r, "leaf tree", seed=72 + k)
-    _hedge(parts)
-    _tufts(parts)
-    _bushes(parts)
-    _pots(parts)
+class Tree(NamedTuple):
+    """A tree's wood and its leaves."""
+
+    wood: Shape
+    leaves: Shape
 
 
-def _tree(
-    parts: Parts, foot: Point, height: float, radius: float, leaf: str, seed: int
-) -> None:
+class Species(NamedTuple):
+    """How a tree grows."""
+
+    boughs: int  # that leave the trunk
+    sprays: int  # leaf cards a twig
+    card: float = 0.42  # half the side of a leaf card, metres
+    bare: float = 0.3  # share of the trunk below the crown
+    twigs: bool = True  # model the twigs' wood
+
+
+def tree(
+    foot: Point, height: float, spread: float, seed: int, species: Species
+) -> Tree:
+    """Grows a tree: a trunk, boughs, twigs, and sprays of leaves along the twigs.
+
+    Args:
+        foot: where it stands.
+        height: of the crown's top, metres.
+        spread: radius of the crown, metres.
+        seed: of its growth.
+        species: how it grows.
+    """
+    boughs, sprays, card, bare, _ = species
     random = np.random.default_rng(seed)
-    base = np.array(foot)
-    fork = base + np.array(
-        [random.normal(0, 0.15), height * 0.42, random.normal(0, 0.15)]
-    )
-    crown = base + np.array([0.0, height - radius * 0.95, 0.0])
-    trunk = 0.03 * height
-    s = np.linspace(0.0, 1.0, 8)[:, None]
-    bend = np.sin(np.pi * s) * random.normal(0, 0.12, 3) * (1, 0, 1)
-    stem = base + (fork - base) * s + bend
-    flare = trunk * (0.75 + 0.6 * np.exp(-6.0 * s[:, 0]))
-    branches = [tube(stem, flare, 10)]
-    tips = []
-    for k in range(9):
-        angle = 2.0 * np.pi * (k + random.uniform(-0.25, 0.25)) / 9 * 2.4
-        rise = random.uniform(-0.15, 0.95)
-        out = (
-            np.array([np.cos(angle), 0, np.sin(angle)])
-            * radius
-            * np.sqrt(1 - min(rise, 0.9) ** 2)
-        )
-        tip = crown + 0.72 * (out + np.array([0.0, rise * radius, 0.0]))
-        middle = (
-            (fork + tip) / 2
-            + np.array([0.0, -0.12 * radius, 0.0])
-            + random.normal(0, 0.1, 3)
-        )
-        t = np.linspace(0.0, 1.0, 7)[:, None]
-        path = (1 - t) ** 2 * fork + 2 * t * (1 - t) * middle + t**2 * tip
-        branches.append(tube(path, trunk * 0.62 * (1.0 - 0.85 * t[:, 0]), 6))
-        tips += [tip, path[4]]
-    parts.add("tree wood", "bark", *branches)
-    # Clumps of cards about the branch tips, their normals out of the crown.
-    count = int(190 * radius)
-    centre = np.array(tips)[random.integers(0, len(tips), count)]
-    offset = unit(random.normal(size=(count, 3))) * (
-        0.42 * radius * random.random((count, 1)) ** 0.5
-    )
-    centre = centre + offset * (1.0, 0.75, 1.0)
-    outward = unit(centre - crown + np.array([0.0, 0.35 * radius, 0.0]))
-    up = unit(0.8 * outward + random.normal(0, 0.55, (count, 3)))
-    across = unit(np.cross(up, random.normal(size=(count, 3))))
-    size = random.uniform(0.3, 0.5, (count, 1))
-    parts.add(leaf, leaf, cards(centre, across * size, up * size, outward))
-
-
-def _hedge(parts: Parts) -> None:
-    """Adds a clipped hedge at the back and the left of the garden."""
-    random = np.random.default_rng(80)
-    line = np.array(
-        [(-26.0, 6.5), (-14.5, 1.5), (-13.5, -9.5), (0.2, -10.5), (2.4, -12.5)]
-    )
-    length = np.concatenate(
-        [[0], np.linalg.norm(np.diff(line, axis=0), axis=1)]
-    ).cumsum()
-    s = np.linspace(0, length[-1], 40)
-    foot = np.stack([np.interp(s, length, line[:, k]) for k in (0, 1)], axis=-1)
-    side = np.gradient(foot, axis=0)
-    side = np.stack([-side[:, 1], side[:, 0]], axis=-1)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    section = np.array(
+    s = np.linspace(0.0, 1.0, 10)
+    lean = random.normal(0, 0.05, 2) * height
+    trunk = np.stack(
         [
-            (0.42, -0.1),
-            (0.45, 1.4),
-            (0.3, 1.62),
-            (-0.3, 1.62),
-            (-0.45, 1.4),
-            (-0.42, -0.1),
-        ]
-    )
-    flat = foot[:, None] + side[:, None] * section[None, :, :1]
-    y = np.broadcast_to(section[None, :, 1], flat.shape[:2])
-    points = np.stack([flat[..., 0], y, flat[..., 1]], axis=-1)
-    core = sheet(points)
-    if core.normal[len(section) // 2, 1] < 0:
-        core = sheet(points[:, ::-1])
-    parts.add("hedge core", "hill near", core)
-    count = 2200
-    i, j = random.integers(0, 39, count), random.integers(0, 5, count)
-    a, b = random.random((2, count, 1))
-    p = points[i, j] * (1 - a) * (1 - b) + points[i + 1, j] * a * (1 - b)
-    p = p + points[i, j + 1] * (1 - a) * b + points[i + 1, j + 1] * a * b
-    e1, e2 = points[i + 1, j] - points[i, j], points[i, j + 1] - points[i, j]
-    outward = unit(np.cross(e1, e2))
-    outward *= np.sign(np.sum(outward * (p - _axis(points, i)), axis=1, keepdims=True))
-    up = unit(outward * 0.7 + random.normal(0, 0.5, (count, 3)) + np.array([0, 0.4, 0]))
-    across = unit(np.cross(up, random.normal(size=(count, 3))))
-    size = random.uniform(0.14, 0.26, (count, 1))
-    parts.add(
-        "leaf hedge",
-        "leaf hedge",
-        cards(p + up * size * 0.4, across * size, up * size, outward),
-    )
-
-
-def _axis(points: np.ndarray, i: np.ndarray) -> np.ndarray:
-    return points[i].mean(axis=1)
-
-
-def _upright(foot: np.ndarray, size: np.ndarray, random: np.random.Generator) -> Shape:
-    """Makes two crossed cards on each foot point."""
-    turn = random.uniform(0, np.pi, len(foot))
-    turn = np.concatenate([turn, turn + np.pi / 2])
-    half = np.concatenate([size, size])[:, None]
-    across = np.stack([np.cos(turn), np.zeros_like(turn), np.sin(turn)], axis=1) * half
-    up = np.tile([[0.0, 1.0, 0.0]], (len(turn), 1)) * half
-    centre = np.concatenate([foot, foot]) + up * 0.94
-    soft = np.tile([[0.0, 1.0, 0.25]], (len(turn), 1))
-    return cards(centre, across, up, unit(soft))
-
-
-def _tufts(parts: Parts) -> None:
-    random = np.random.default_rng(81)
-    # Reeds in the shallow water.
-    z = np.concatenate([random.uniform(-23, -9.5, 150), random.uniform(-4.2, 9.0, 130)])
-    x = shore(z) + random.normal(0.15, 0.35, len(z))
-    foot = np.stack([x, np.maximum(ground(x, z), WATER - 0.1) - 0.05, z], axis=1)
-    size = random.uniform(0.28, 0.62, len(z)) * np.where(z > 0, 0.75, 1.0)
-    parts.add("leaf reeds", "leaf reed", _upright(foot, size, random))
-    # Grass left standing along fence, deck and path.
-    runs = [
-        ((-10.6, 0.9), (-3.3, 6.4), 90),
-        ((-7.6, 1.62), (-1.1, 1.62), 60),
-        ((4.5, -7.6), (2.6, -13.0), 50),
-    ]
-    feet = []
-    for (x0, z0), (x1, z1), count in runs:
-        s = random.random(count)
-        feet.append(np.stack([x0 + (x1 - x0) * s, z0 + (z1 - z0) * s], axis=1))
-    lawn = np.stack([random.uniform(-9, 6, 260), random.uniform(-8, 9, 260)], axis=1)
-    open_lawn = (lawn[:, 0] < shore(lawn[:, 1]) - 0.6) & (
-        (lawn[:, 1] > 2.4) | (lawn[:, 0] > 4.9)
-    )
-    open_lawn &= np.abs(lawn[:, 0] - 1.8) > 1.9
-    feet.append(lawn[open_lawn])
-    flat = np.concatenate(feet) + random.normal(0, 0.08, (sum(map(len, feet)), 2))
-    foot = np.stack([flat[:, 0], ground(flat[:, 0], flat[:, 1]), flat[:, 1]], axis=1)
-    size = random.uniform(0.07, 0.17, len(foot))
-    parts.add("leaf grass", "leaf tuft", _upright(foot, size, random))
-
-
-def _bush(
-    parts: Parts, at: Point, radius: float, leaf: str, count: int, seed: int
-) -> None:
-    random = np.random.default_rng(seed)
-    direction = unit(random.normal(size=(count, 3)) + np.array([0.0, 0.6, 0.0]))
-    centre = np.array(at) + direction * radius * random.uniform(0.5, 0.95, (count, 1))
-    up = unit(direction + random.normal(0, 0.4, (count, 3)))
-    across = unit(np.cross(up, random.normal(size=(count, 3))))
-    size = random.uniform(0.28, 0.45, (count, 1)) * radius
-    parts.add(leaf, leaf, cards(centre, across * size, up * size, direction))
-
-
-def _bushes(parts: Parts) -> None:
-    spots = [
-        (-7.0, 1.95, 0.42),
-        (-5.9, 2.0, 0.36),
-        (-4.7, 1.95, 0.45),
-        (-3.4, 2.0, 0.38),
-        (2.6, 1.9, 0.4),
-        (3.7, 0.9, 0.45),
-    ]
-    for k, (x, z, r) in enumerate(spots):
-        leaf = "leaf flower" if k in (1, 3, 4) else "leaf hedge"
-        _bush(parts, (x, 0.12, z), r, leaf, 90, 90 + k)
-
-
-def _pot(radius: float, height: float) -> Shape:
-    r, h = radius, height
-    return lathe(
-        [
-            (0.0, 0.0), (0.62 * r, 0.0), (0.62 * r, 0.0), (0.8 * r, 0.35 * h),
-            (0.93 * r, 0.8 * h), (0.94 * r, 0.84 * h), (0.94 * r, 0.84 * h),
-            (1.06 * r, 0.85 * h), (1.09 * r, 0.9 * h), (1.07 * r, 0.98 * h), (1.02 * r, h),
-            (0.94 * r, 0.99 * h), (0.9 * r, 0.9 * h), (0.9 * r, 0.9 * h), (0.0, 0.9 * h),
+            lean[0] * s**2 + 0.02 * height * np.sin(s * 5 + seed),
+            height * 0.92 * s,
+            lean[1] * s**2 + 0.02 * height * np.cos(s * 4 + seed) - 0.02 * height,
         ],
-        40,
-    )  # fmt: skip
+        axis=-1,
+    )
+    thick = 0.024 * height * (1.0 - 0.88 * s) * (1.0 + 0.5 * np.exp(-12 * s))
+    wood = [tube(trunk, thick, 9)]
+    twigs = []
+    for k in range(boughs):
+        up = bare + (0.97 - bare) * (k + random.random()) / boughs
+        start = np.array([np.interp(up, s, trunk[:, i]) for i in range(3)])
+        turn = 2.4 * k + random.normal(0, 0.3)
+        # An egg-shaped crown: widest at a third of its height.
+        share = (up - bare) / (1.0 - bare)
+        reach = spread * np.sqrt(np.clip(1.0 - ((share - 0.3) / 0.75) ** 2, 0.06, 1.0))
+        rise = 0.25 + 0.75 * share
+        way = unit(np.array([np.cos(turn), rise, np.sin(turn)]))
+        q = np.linspace(0.0, 1.0, 6)[:, None]
+        bough = start + way * reach * q + np.array([0, 0.15 * reach, 0]) * q**2
+        width = float(np.interp(up, s, thick))
+        wood.append(tube(bough, 0.55 * width * (1.0 - 0.8 * q[:, 0]), 6))
+        for m in range(4):
+            at = 0.35 + 0.65 * (m + 0.5) / 4
+            origin = start + (bough[-1] - start) * at
+            heading = unit(way + 0.8 * random.normal(0, 1, 3) + np.array([0, 0.2, 0]))
+            tip = origin + heading * reach * random.uniform(0.25, 0.5)
+            twigs.append((origin, tip))
+    if species.twigs:
+        wood += [tube(np.stack(twig), np.array([0.012, 0.004]), 4) for twig in twigs]
+    ends = np.array(twigs)
+    along = random.uniform(0.0, 1.0, (len(twigs), sprays, 1))
+    centre = ends[:, None, 0] + (ends[:, None, 1] - ends[:, None, 0]) * along
+    centre = (centre + random.uniform(-card, card, centre.shape)).reshape(-1, 3)
+    middle = np.array([0.0, height * (bare + 1.0) / 2.0, 0.0])
+    outward = unit((centre - middle) / np.array([spread, height * 0.5, spread]))
+    leaves = scattered(centre, outward, card, random)
+    return Tree(merge(wood).moved(foot), leaves.moved(foot))
 
 
-def _blades(at: Point, count: int, reach: float, seed: int) -> Shape:
-    """Makes arching leaves, each a bent strip that shows the whole texture."""
-    random = np.random.default_rng(seed)
-    leaves = []
-    s = np.linspace(0.0, 1.0, 9)
-    for _ in range(count):
-        angle, lean = random.uniform(0, 2 * np.pi), random.uniform(0.15, 0.95)
-        length = reach * random.uniform(0.65, 1.0)
-        out = length * lean * s**1.25
-        y = length * (1.15 - 0.35 * lean) * s - length * 0.75 * lean * s**2.4
-        heading = np.array([np.cos(angle), np.sin(angle)])
-        spine = np.stack([out * heading[0], y, out * heading[1]], axis=1) + at
-        side = np.array([-heading[1], 0.0, heading[0]]) * 0.055 * reach
-        points = np.stack([spine - side, spine + side], axis=1)
-        points[:, :, 1] += 0.25 * 0.055 * reach
-        uv = np.stack(
-            np.broadcast_arrays(np.array([0.0, 1.0])[None], (0.99 - 0.98 * s)[:, None]),
-            axis=-1,
+def scattered(
+    centre: np.ndarray, outward: np.ndarray, half: float, random: np.random.Generator
+) -> Shape:
+    """Places leaf cards whose faces lean outward, with soft outward normals."""
+    n = len(centre)
+    face = unit(outward + 0.75 * random.normal(0, 1, (n, 3)))
+    up = random.normal(0, 1, (n, 3)) + np.array([0.0, 0.6, 0.0])
+    up = unit(up - face * np.sum(up * face, axis=1, keepdims=True))
+    size = half * random.uniform(0.75, 1.25, (n, 1))
+    across = np.cross(up, face)
+    soft = unit(outward + (0.0, 0.35, 0.0) + 0.25 * random.normal(0, 1, (n, 3)))
+    return shapes.cards(centre, across * size, up * size, soft)
+
+
+def upright(
+    foot: np.ndarray,
+    height: np.ndarray,
+    random: np.random.Generator,
+    lean: float = 0.15,
+) -> Shape:
+    """Places two crossed upright cards at each foot (n, 3), heights (n,) in metres."""
+    n = len(foot)
+    turn = random.uniform(0, np.pi, n)
+    parts = []
+    for quarter in (0.0, np.pi / 2):
+        across = np.stack(
+            [np.cos(turn + quarter), np.zeros(n), np.sin(turn + quarter)], axis=-1
         )
-        leaves.append(sheet(points, uv))
-    return merge(leaves)
+        up = unit(np.array([0, 1.0, 0]) + lean * random.normal(0, 1, (n, 3)))
+        half = (height / 2.0)[:, None]
+        soft = unit(np.array([0.2, 1.0, 0.35]) + 0.2 * random.normal(0, 1, (n, 3)))
+        parts.append(
+            shapes.cards(foot + up * half * 0.97, across * half, up * half, soft)
+        )
+    return merge(parts)
 
 
-def _pots(parts: Parts) -> None:
-    pots = [
-        (0.72, 0.07, 8.55, 0.30, 0.52, "terracotta", "blades", 1.15),
-        (4.75, 0.0, 8.1, 0.27, 0.40, "glazed blue", "leaf flower", 0.42),
-        (2.75, 0.28, 0.9, 0.26, 0.48, "terracotta", "leaf hedge", 0.4),
-        (-0.75, 0.28, -0.95, 0.22, 0.42, "glazed blue", "blades", 0.85),
-        (-2.6, 0.28, 1.1, 0.2, 0.34, "terracotta", "leaf flower", 0.3),
-        (-7.1, 0.28, -0.9, 0.28, 0.5, "terracotta", "blades", 1.05),
+def hedge(low: Point, high: Point, count: int, seed: int) -> Shape:
+    """Returns a clipped hedge: leaf cards on and just under the faces of a box."""
+    random = np.random.default_rng(seed)
+    lo, hi = np.array(low, float), np.array(high, float)
+    p = random.uniform(lo, hi, (count, 3))
+    size = hi - lo
+    weights = np.array([size[1] * size[2], size[0] * size[2] * 0.5, size[0] * size[1]])
+    axis = random.choice(3, count, p=weights / weights.sum())
+    side = np.where(axis == 1, 1, random.integers(0, 2, count))
+    rows = np.arange(count)
+    p[rows, axis] = np.where(side == 1, hi[axis], lo[axis])
+    outward = np.zeros((count, 3))
+    outward[rows, axis] = 2.0 * side - 1.0
+    p += random.normal(0, 0.05, p.shape) - 0.04 * outward
+    return scattered(p, outward, 0.19, random)
+
+
+def pot(radius: float, height: float) -> Shape:
+    """Turns a pot with a rim and a hollow mouth."""
+    r, h = radius, height
+    profile = [
+        (0.0, 0.0), (0.66 * r, 0.0), (0.66 * r, 0.0), (0.72 * r, 0.03 * h),
+        (0.86 * r, 0.4 * h), (0.95 * r, 0.82 * h), (0.95 * r, 0.82 * h),
+        (1.05 * r, 0.84 * h), (1.07 * r, 0.92 * h), (1.05 * r, h), (1.05 * r, h),
+        (0.93 * r, h), (0.93 * r, h), (0.88 * r, 0.86 * h), (0.0, 0.86 * h),
+    ]  # fmt: skip
+    return shapes.lathe(profile, 32)
+
+
+def rosette(foot: Point, length: float, count: int, seed: int) -> Shape:
+    """Returns arching strap leaves that rise from one foot, on alpha-cut strips."""
+    random = np.random.default_rng(seed)
+    q = np.linspace(0.0, 1.0, 9)
+    strips = []
+    for k in range(count):
+        turn = 2.39996 * k + random.normal(0, 0.1)
+        tilt = 0.25 + 0.95 * k / count + random.normal(0, 0.06)
+        reach = length * random.uniform(0.75, 1.1) * (0.8 + 0.2 * k / count)
+        # The leaf bends down along its length: its angle from upright grows with q.
+        angle = tilt + 1.1 * tilt * q**1.7
+        step = reach / (len(q) - 1)
+        out = np.concatenate([[0.0], np.cumsum(np.sin(angle[:-1]) * step)])
+        up = np.concatenate([[0.0], np.cumsum(np.cos(angle[:-1]) * step)])
+        way = np.array([np.cos(turn), 0.0, np.sin(turn)])
+        side = np.array([-np.sin(turn), 0.0, np.cos(turn)])
+        spine = out[:, None] * way + np.stack([0 * up, up, 0 * up], axis=-1)
+        half = 0.085 * length
+        fold = 0.03 * length * np.array([0.0, 1.0, 0.0])
+        grid = np.stack([spine - half * side + fold, spine, spine + half * side + fold])
+        uv = np.stack(
+            np.broadcast_arrays(np.array([0.0, 0.5, 1.0])[:, None], (1.0 - q)[None]), -1
+        )
+        strips.append(shapes.facing(shapes.sheet(grid, uv), (0, 1, 0)))
+    return merge(strips).moved(foot)
+
+
+def bush(foot: Point, radius: float, count: int, card: float, seed: int) -> Shape:
+    """Returns a ball of leaf cards whose lowest point is the foot."""
+    random = np.random.default_rng(seed)
+    outward = unit(random.normal(0, 1, (count, 3)))
+    depth = random.uniform(0.75, 1.0, (count, 1))
+    centre = outward * radius * depth + (0.0, radius * 0.9, 0.0)
+    return scattered(centre, outward, card, random).moved(foot)
+
+
+def potted() -> list[Part]:
+    """Returns the pots by the path and on the terrace, with what grows in them."""
+    deck = 0.36
+    big, low = (-1.15, 0.02, 8.7), (-2.05, 0.0, 8.15)
+    door, corner, table = (1.75, deck, -2.45), (-9.1, deck, 0.4), (-5.6, deck, 0.55)
+    terracotta = [
+        pot(0.3, 0.5).moved(low),
+        pot(0.26, 0.44).moved(table),
+        pot(0.2, 0.34).moved((-6.15, deck, 0.5)),
     ]
-    for k, (x, y, z, r, h, material, plant, reach) in enumerate(pots):
-        parts.add(f"pot {material}", material, _pot(r, h).moved((x, y, z)))
-        soil = lathe([(0.0, 0.905 * h), (0.9 * r, 0.905 * h), (0.0, 0.91 * h)], 20)
-        parts.add("pot soil", "soil", soil.moved((x, y, z)))
-        if plant == "blades":
-            parts.add(
-                "leaf blades",
-                "leaf blade",
-                _blades((x, y + 0.88 * h, z), 34, reach, 100 + k),
-            )
-        else:
-            _bush(parts, (x, y + h + 0.35 * reach, z), reach, plant, 120, 100 + k)
+    glazed = [pot(0.36, 0.62).moved(big), pot(0.32, 0.62).moved(door)]
+    pale = [pot(0.4, 0.7).moved(corner)]
+    soil = [
+        shapes.lathe([(0.0, -0.05), (r, -0.05), (r, 0.0), (0.0, 0.02)], 20).moved(
+            (x, y + h, z)
+        )
+        for (x, y, z), r, h in (
+            (big, 0.33, 0.55),
+            (low, 0.27, 0.44),
+            (door, 0.29, 0.55),
+        )
+    ]
+    straps = [
+        rosette((big[0], 0.55, big[2]), 0.95, 34, 61),
+        rosette((corner[0], deck + 0.6, corner[2]), 1.15, 36, 62),
+    ]
+    balls = [
+        bush((door[0], deck + 0.62, door[2]), 0.34, 260, 0.1, 63),
+        bush((-6.15, deck + 0.3, 0.5), 0.2, 110, 0.07, 64),
+    ]
+    flowers = [
+        bush((low[0], 0.38, low[2]), 0.36, 210, 0.13, 65),
+        bush((table[0], deck + 0.36, table[2]), 0.3, 150, 0.12, 66),
+    ]
+    return [
+        Part("pots terracotta", merge(terracotta), "terracotta"),
+        Part("pots glazed", merge(glazed), "glazed blue"),
+        Part("pots pale", merge(pale), "fascia"),
+        Part("pot soil", merge(soil), "soil"),
+        Part("leaf straps", merge(straps), "leaf blade"),
+        Part("leaf box balls", merge(balls), "leaf hedge"),
+        Part("leaf pot flowers", merge(flowers), "leaf flower"),
+    ]
+
+
+def _trees(
+    name: str,
+    leaf: str,
+    places: list[tuple[float, float, float, float]],
+    seed: int,
+    species: Species,
+) -> list[Part]:
+    """Returns one mesh of wood and one of leaves for (x, z, height, spread) places."""
+    grown = [
+        tree((x, -0.1, z), height, spread, seed + k, species)
+        for k, (x, z, height, spread) in enumerate(places)
+    ]
+    return [
+        Part(f"wood {name}", merge([t.wood for t in grown]).tiled(0.5), "bark"),
+        Part(f"leaf {name}", merge([t.leaves for t in grown]), leaf),
+    ]
+
+
+def woodland() -> list[Part]:
+    """Returns the garden's trees, and those beyond it."""
+    shade = [(-13.2, -4.5, 8.5, 3.4), (10.2, 15.0, 7.5, 2.8)]
+    slim = [(4.0, -10.5, 7.4, 1.9), (-12.2, 4.6, 5.6, 1.8)]
+    far = [
+        (-21.0, -24.0, 11.0, 4.5), (-9.0, -27.0, 10.0, 4.2), (1.5, -30.0, 12.0, 4.6),
+        (21.0, -8.0, 8.5, 3.6), (24.5, -19.0, 10.0, 4.2), (20.5, -30.0, 9.0, 3.8),
+        (33.0, -26.0, 11.0, 4.6), (26.0, 2.0, 8.0, 3.4), (-26.0, -10.0, 10.0, 4.2),
+        (36.0, -8.0, 10.5, 4.4), (32.0, -48.0, 12.0, 5.0), (10.0, -44.0, 11.0, 4.6),
+    ]  # fmt: skip
+    oak = Species(boughs=22, sprays=12)
+    birch = Species(boughs=20, sprays=8, card=0.32)
+    young = Species(boughs=14, sprays=7, card=0.24)
+    distant = Species(boughs=16, sprays=5, card=0.95, bare=0.2, twigs=False)
+    clipped = hedge((-12.0, 0.0, -3.0), (-11.2, 1.9, 11.0), 2600, 95)
+    return [
+        *_trees("shade trees", "leaf tree", shade, 70, oak),
+        *_trees("birches", "leaf birch", slim, 80, birch),
+        *_trees("young tree", "leaf birch", [(-6.3, 4.4, 3.0, 1.15)], 90, young),
+        *_trees("far trees", "leaf tree", far, 100, distant),
+        Part("leaf hedge", clipped, "leaf hedge"),
+    ]

@@ -244,6 +244,13 @@ def flipped(shape: Shape) -> Shape:
     return shape._replace(triangles=shape.triangles[:, ::-1], normal=-shape.normal)
 
 
+def facing(shape: Shape, direction: Point) -> Shape:
+    """Returns an open surface with its outside toward a direction, on the whole."""
+    return (
+        shape if np.sum(shape.normal @ np.array(direction)) >= 0.0 else flipped(shape)
+    )
+
+
 def tube(path: np.ndarray, radius: float | np.ndarray, sides: int = 8) -> Shape:
     """Sweeps a circle along a path (n, 3), with flat caps; u runs around it.
 
@@ -342,3 +349,8 @@ def signed_volume(shape: Shape) -> float:
     """Returns the enclosed volume; positive where faces wind outward."""
     a, b, c = (shape.position[shape.triangles[:, k]] for k in range(3))
     return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+
+def outward(shape: Shape) -> Shape:
+    """Returns a closed surface right side out."""
+    return shape if signed_volume(shape) >= 0.0 else flipped(shape)
