@@ -44,7 +44,8 @@ def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
         return levels
     alpha = _CODES[texels[..., 3:]]
     color = (_DECODE if srgb else _CODES)[texels[..., :3]]
-    opaque = bool(np.all(texels[..., 3] == 255))
+    # Only base colours hold alpha: glTF's other textures ignore the channel.
+    opaque = not srgb or bool(np.all(texels[..., 3] == 255))
     image = color if opaque else np.concatenate([color * alpha, alpha], axis=-1)
     # Where all is transparent there is no weight: keep the plain mean of the colour.
     plain = None if opaque else color

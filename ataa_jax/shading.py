@@ -140,7 +140,7 @@ def _evaluate_material(
 ) -> _Material:
     table, material = scene.materials, surface.material
 
-    def fetch(texture_of_material: Int[Array, " m"]) -> Vec3:
+    def fetch(texture_of_material: Int[Array, " m"], *, srgb: bool = False) -> Vec3:
         return texture.sample(
             scene.textures,
             texture_of_material[material],
@@ -148,11 +148,12 @@ def _evaluate_material(
             surface.uv_dx,
             surface.uv_dy,
             mip_bias,
+            srgb=srgb,
         )
 
     base = Vec3(*vector.take(table.base_color, material)[:3])
     if config.base_color_textures:
-        base = base * fetch(table.base_color_texture)
+        base = base * fetch(table.base_color_texture, srgb=True)
     metallic, roughness = table.metallic[material], table.roughness[material]
     if config.metallic_roughness_textures:
         packed = fetch(table.metallic_roughness_texture)
@@ -169,7 +170,7 @@ def _evaluate_material(
     if config.emission:
         (emissive,) = vector.take3(table.emissive, material)
         if config.emissive_textures:
-            emissive = emissive * fetch(table.emissive_texture)
+            emissive = emissive * fetch(table.emissive_texture, srgb=True)
     roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
     metallic = jnp.clip(metallic, 0.0, 1.0)
     return _Material(
