@@ -146,7 +146,7 @@ def _deck() -> list[Part]:
     roof = shapes.facing(shapes.sheet(cabin), (0, 1, 0))
     rear = np.stack([np.broadcast_to(cabin[0].mean(0), cabin[0].shape), cabin[0]])
     bulkhead = shapes.facing(shapes.sheet(rear), (0, 0, -1))
-    ports = [_port(side, z) for side in (-1, 1) for z in (-0.1, 0.5, 1.1)]
+    ports = [_port(side, z) for side in (-1.0, 1.0) for z in (-0.1, 0.5, 1.1)]
     coaming = [
         box((side - 0.025, 0.75, -2.9), (side + 0.025, 1.02, -0.6))
         for side in (-0.66, 0.66)

@@ -16,7 +16,8 @@ def bank(z: np.ndarray | float) -> np.ndarray:
     """Returns x of the water's near edge at z."""
     z = np.asarray(z, float)
     bend = 0.004 * np.clip(-z - 10.0, 0.0, None) ** 2
-    return 5.3 + 0.5 * np.sin(0.22 * z + 0.6) + 0.5 * np.clip(z - 2.0, 0, None) + bend
+    opening = 0.5 * np.clip(z - 2.0, 0.0, None)
+    return np.asarray(5.3 + 0.5 * np.sin(0.22 * z + 0.6) + opening + bend)
 
 
 def ground(x: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
@@ -26,7 +27,7 @@ def ground(x: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
     near = bank(z)
     inside = np.minimum(x - near, near + 11.5 + 0.4 * np.sin(0.3 * z) - x)
     s = np.clip((inside + 0.7) / 1.5, 0.0, 1.0)
-    return swell - 1.5 * s * s * (3.0 - 2.0 * s)
+    return np.asarray(swell - 1.5 * s * s * (3.0 - 2.0 * s))
 
 
 def _spaced(low: float, high: float, far: float, step: float) -> np.ndarray:

@@ -335,9 +335,9 @@ def _chair(x: float, z: float, degrees: float) -> tuple[Shape, Shape]:
 def _furniture() -> list[Part]:
     x, z = -7.6, -0.9
     chairs = [
-        _chair(x - 0.95, z + 0.1, 95),
-        _chair(x + 0.95, z - 0.05, -80),
-        _chair(x + 0.1, z - 0.85, 8),
+        _chair(x - 0.95, z + 0.1, 95.0),
+        _chair(x + 0.95, z - 0.05, -80.0),
+        _chair(x + 0.1, z - 0.85, 8.0),
     ]
     top = shapes.lathe(
         [
@@ -347,7 +347,7 @@ def _furniture() -> list[Part]:
             (0.58, 0.02),
             (0.56, 0.04),
             (0.56, 0.04),
-            (0, 0.04),
+            (0.0, 0.04),
         ],
         32,
     ).moved((x, FLOOR + 0.71, z))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-Point = tuple[float, float, float]
+Point = tuple[float | int, float | int, float | int]
 
 
 class Shape(NamedTuple):
