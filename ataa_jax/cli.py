@@ -114,7 +114,7 @@ def demo(
     reference_samples: ReferenceSamples = 16,
     traceback: Traceback = False,
 ) -> None:
-    """Shows on the built-in scene what adaptive antialiasing does, in about a minute."""
+    """Shows on the built-in scene what ATAA does, in about a minute."""
     _compare(
         "builtin",
         size=size,
@@ -321,7 +321,7 @@ def _compare(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)
             )
     console = Console(soft_wrap=True, highlight=False)
-    console.print(report.terminal(result))
+    Console(highlight=False).print(report.terminal(result))
     _notes(console, result.notes)
     console.print(
         f"\nWrote {final}: index.html, strip.png, hero.png, scores.csv, frames.csv, "

@@ -58,9 +58,7 @@ def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
             plain = _halve(_halve(plain, 0), 1)
             alpha = image[..., 3:]
             solid = alpha > 1e-4
-            color = np.where(
-                solid, image[..., :3] / np.where(solid, alpha, 1.0), plain
-            )
+            color = np.where(solid, image[..., :3] / np.where(solid, alpha, 1.0), plain)
         levels.append(_pack(_to_codes(color, alpha, srgb)))
     return levels
 
@@ -93,8 +91,8 @@ def _to_codes(color: np.ndarray, alpha: np.ndarray, srgb: bool) -> np.ndarray:
         rgb = _ENCODE[(color * np.float32(65535.0) + np.float32(0.5)).astype(np.int32)]
     else:
         rgb = (color * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
-    a = (np.clip(alpha, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
-    return np.concatenate([rgb, a], axis=-1)
+    alpha = np.clip(alpha, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5)
+    return np.concatenate([rgb, alpha.astype(np.uint8)], axis=-1)
 
 
 def _pack(texels: np.ndarray) -> np.ndarray:

@@ -15,9 +15,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from ataa_jax.fxaa import Config as FxaaConfig
-from ataa_jax.segmentation import Config as SegmentationConfig
-from ataa_jax.taa import Config as TaaConfig
 from jaxtyping import Array, Float, Int
 
 from ataa_jax import color as colors
@@ -33,9 +30,12 @@ from ataa_jax import (
     taa,
 )
 from ataa_jax.errors import InputError
+from ataa_jax.fxaa import Config as FxaaConfig
 from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import Config as RaytraceConfig
+from ataa_jax.segmentation import Config as SegmentationConfig
+from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -390,20 +390,20 @@ def sequence(
         Output and state of each frame.
     """
     world = shot.world
-    state = init(config.raster.size) if state is None else state
+    current = init(config.raster.size) if state is None else state
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
     for index in range(frames):
-        output, state = frame(
-            state,
+        output, current = frame(
+            current,
             shot.inputs(index, jitter[index % len(jitter)]),
             params,
             scene=world.scene,
             tracer=world.tracer,
             config=config,
         )
-        yield output, state
+        yield output, current
 
 
 def with_budget(params: Params, budget: float) -> Params:

@@ -162,6 +162,7 @@ def taa(
     reprojected = vector.select(valid, reprojected, current)
 
     sample = _filter_current(bordered, jitter, config)
+    alone = sample
     rectified, sample = _rectify(reprojected, sample, bordered, params, config)
     nearest = window.nearest_index(row, column)
     frames = jnp.minimum(
@@ -173,7 +174,7 @@ def taa(
     # Where nothing was interpolated the linear values themselves are handed on, so
     # that no round trip through the averaging space costs their last bits.
     clean = colors.sanitize_vec(current_linear)
-    alone = clean if config.current_filter == "none" else _to_linear(sample, config)
+    alone = clean if config.current_filter == "none" else _to_linear(alone, config)
     whole = (row == jnp.round(row)) & (column == jnp.round(column))
     handed_on = vector.select(whole, exact, _to_linear(reprojected, config))
     return TaaOutput(
@@ -417,7 +418,7 @@ def _clip(value: Vec3, low: Vec3, centre: Vec3, high: Vec3) -> Vec3:
 
 
 def _box(
-    bordered: Float[Array, "h+2 w+2"], params: Params, config: Config
+    bordered: Float[Array, "hb wb"], params: Params, config: Config
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns (low, centre, high) of one component over the neighbourhood."""
     if config.neighbourhood == "rounded":
@@ -432,7 +433,7 @@ def _box(
 
 
 def _one_box(
-    bordered: Float[Array, "h+2 w+2"],
+    bordered: Float[Array, "hb wb"],
     shape: Literal["box", "plus"],
     params: Params,
     config: Config,

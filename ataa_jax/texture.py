@@ -14,7 +14,6 @@ from ataa_jax.surface import Uv
 from ataa_jax.types import WRAP_MIRROR, WRAP_REPEAT, Textures
 from ataa_jax.vector import Vec3
 
-
 # ((x + 0.055) / 1.055)^2.4 on [0.04, 1], interpolated at Chebyshev nodes: within 3e-6,
 # a hundredth of the smallest step between two codes. A table of the 256 codes would be
 # exact, but its gathers do not vectorize and took most of the lookup's time.
@@ -62,9 +61,7 @@ def sample(
     )
 
     def level(index: Int[Array, " n"]) -> Vec3:
-        return _bilinear(
-            textures, safe, index, wrapped, repeat_u, repeat_v, srgb
-        )
+        return _bilinear(textures, safe, index, wrapped, repeat_u, repeat_v, srgb)
 
     if uv_dx is None or uv_dy is None:
         color = level(jnp.zeros_like(safe))
@@ -154,9 +151,7 @@ def _bilinear(
     return vector.materialize(Vec3(channel(0), channel(8), channel(16)))
 
 
-def _decode(
-    texel: UInt[Array, " n"], shift: int, srgb: bool
-) -> Float[Array, " n"]:
+def _decode(texel: UInt[Array, " n"], shift: int, srgb: bool) -> Float[Array, " n"]:
     """Unpacks one 8-bit channel, to [0, 1], linear."""
     code = (texel >> jnp.uint32(shift)) & jnp.uint32(0xFF)
     # By way of int32: the CPU has no vector conversion from unsigned.

@@ -7,6 +7,7 @@ over n, and the code reads like the equations.
 """
 
 import math
+from collections.abc import Callable
 from typing import TypeVar
 
 import equinox as eqx
@@ -48,7 +49,7 @@ class Vec3(eqx.Module):
         return Vec3(-self.x, -self.y, -self.z)
 
 
-def _zip(operation: jnp.ufunc, a: Vec3, b: "Vec3 | Scalar") -> Vec3:
+def _zip(operation: Callable[..., Array], a: Vec3, b: "Vec3 | Scalar") -> Vec3:
     bx, by, bz = (b.x, b.y, b.z) if isinstance(b, Vec3) else (b, b, b)
     return Vec3(operation(a.x, bx), operation(a.y, by), operation(a.z, bz))
 

@@ -4,6 +4,8 @@ Border rule, everywhere: clamp to edge, the nearest pixel of the image stands fo
 outside. Images are single planes, (h, w): on the CPU a plane is bordered once and then
 read through nine slices, which one vectorized loop fuses; shifting a plane for each
 neighbour, or an axis of three channels, takes two to ten times as long.
+
+Axis letters: ``hb wb`` are the rows and columns of a bordered plane, h + 2 and w + 2.
 """
 
 from collections.abc import Callable
@@ -44,7 +46,7 @@ def border(plane: Shaped[Array, "h w"]) -> Shaped[Array, "h+2 w+2"]:
 
 
 def neighbours(
-    bordered: Shaped[Array, "h+2 w+2"],
+    bordered: Shaped[Array, "hb wb"],
 ) -> tuple[tuple[Shaped[Array, "h w"], ...], ...]:
     """Returns the nine shifted views, ``[row][column]``, the pixel's own at [1][1]."""
     height, width = bordered.shape[0] - 2, bordered.shape[1] - 2
@@ -54,13 +56,13 @@ def neighbours(
     )
 
 
-def reduce3x3(bordered: Shaped[Array, "h+2 w+2"], combine: Reduce) -> Array:
+def reduce3x3(bordered: Shaped[Array, "hb wb"], combine: Reduce) -> Array:
     """Folds the nine neighbours by an associative and commutative function."""
     rows = [reduce(combine, row) for row in neighbours(bordered)]
     return reduce(combine, rows)
 
 
-def mean3x3(bordered: Float[Array, "h+2 w+2"]) -> Float[Array, "h w"]:
+def mean3x3(bordered: Float[Array, "hb wb"]) -> Float[Array, "h w"]:
     """Returns the mean of the nine neighbours."""
     return reduce3x3(bordered, jnp.add) * (1.0 / 9.0)
 

@@ -18,11 +18,12 @@ from ataa_jax import (
     lighting,
     paths,
     raster,
-    scene,
     types,
 )
 from ataa_jax import camera as cameras
+from ataa_jax import scene as scenes
 from ataa_jax.errors import InputError
+from ataa_jax.scene import CameraSource, LightSource, SceneSource
 
 BUILTIN = "builtin"
 
@@ -40,11 +41,11 @@ class World:
     """
 
     name: str
-    source: scene.SceneSource
+    source: SceneSource
     scene: types.Scene
     tracer: embree.Tracer
-    cameras: list[scene.CameraSource]  # at least one
-    lights: list[scene.LightSource]  # as supplied or authored, before exposure
+    cameras: list[CameraSource]  # at least one
+    lights: list[LightSource]  # as supplied or authored, before exposure
     exposure: float
     notes: list[str]  # warnings of the reader, and what was supplied
 
@@ -57,7 +58,7 @@ class World:
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         return digest.hexdigest()
 
-    def camera(self, name: str | None) -> scene.CameraSource:
+    def camera(self, name: str | None) -> CameraSource:
         """Returns a camera by name, or the first.
 
         Raises:
@@ -71,7 +72,7 @@ class World:
         known = ", ".join(camera.name for camera in self.cameras)
         raise InputError(f"the scene has no camera '{name}'; it has: {known}")
 
-    def focus(self, camera: scene.CameraSource) -> float:
+    def focus(self, camera: CameraSource) -> float:
         """Returns the distance to what the middle of a camera's image shows."""
         points = lighting.look(
             self.tracer, self.scene, self.source.transforms(0.0), camera
@@ -86,7 +87,7 @@ class Sequence:
     world: World
     path: paths.CameraPath
     size: tuple[int, int]
-    camera: scene.CameraSource
+    camera: CameraSource
     focus: float
 
     def pose(self, frame: int) -> paths.Pose:
@@ -143,15 +144,15 @@ def load(
     elif Path(path).suffix.lower() in (".glb", ".gltf"):
         source = gltf.load(path)
     else:
-        source = scene.load_mesh(path)
+        source = scenes.load_mesh(path)
     return prepare(source, camera=camera, backend=backend)
 
 
 def prepare(
-    source: scene.SceneSource, *, camera: str | None = None, backend: str = "auto"
+    source: SceneSource, *, camera: str | None = None, backend: str = "auto"
 ) -> World:
     """Turns a scene description into a world; see `load`."""
-    packed, notes = scene.pack(source)
+    packed, notes = scenes.pack(source)
     notes = [*source.warnings, *notes]
     tracer = embree.build(packed, backend=backend)
     all_cameras = source.cameras
@@ -178,7 +179,7 @@ def prepare(
         "visible surfaces see"
     )
     packed = replace_lights(
-        packed, scene.pack_lights(lights), scene.pack_sky(sky, visibility)
+        packed, scenes.pack_lights(lights), scenes.pack_sky(sky, visibility)
     )
     bounce, exposure = _bounce_and_exposure(
         packed, tracer, transforms, chosen, visibility
@@ -227,7 +228,7 @@ def _bounce_and_exposure(
     packed: types.Scene,
     tracer: embree.Tracer,
     transforms: np.ndarray,
-    camera: scene.CameraSource,
+    camera: CameraSource,
     visibility: float,
 ) -> tuple[np.ndarray, float]:
     """Measures the surroundings' mean radiance, then exposes, on a 160×90 view."""
@@ -245,7 +246,7 @@ def _preview(
     packed: types.Scene,
     tracer: embree.Tracer,
     transforms: np.ndarray,
-    camera: scene.CameraSource,
+    camera: CameraSource,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draws 160×90 pixels; returns linear colour and where a surface is."""
     view = cameras.make(camera.world_from_view, camera.fov_y)

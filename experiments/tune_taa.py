@@ -13,6 +13,7 @@ import itertools
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,9 +43,12 @@ def grid() -> list[tuple[str, taa.Config, taa.Params]]:
     for weight, name, (rectify, gamma) in itertools.product(
         WEIGHTS, FILTERS, RECTIFIERS
     ):
-        config = replace(base, history_filter=name, rectify=rectify)  # pyright: ignore[reportArgumentType]
+        choices: dict[str, Any] = {"history_filter": name, "rectify": rectify}
+        config = replace(base, **choices)
         label = f"{weight},{name},{rectify},{gamma}"
-        members.append((label, config, taa.default_params(weight, variance_gamma=gamma)))
+        members.append(
+            (label, config, taa.default_params(weight, variance_gamma=gamma))
+        )
     return members
 
 
@@ -91,9 +95,9 @@ def scores(
 
 def main() -> None:
     """Runs the grid and writes the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", default="480x270")
-    parser.add_argument("--frames", type=int, default=16)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--size", default="384x216")
+    parser.add_argument("--frames", type=int, default=14)
     parser.add_argument("--reference-samples", type=int, default=64)
     options = parser.parse_args()
     width, height = (int(part) for part in options.size.split("x"))

@@ -8,11 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ataa_jax import color, pipeline, segmentation, types
-from ataa_jax import paths, world as worlds
+from ataa_jax import color, paths, pipeline, segmentation, types
+from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.scene import (
-    CameraSource, LightSource, MaterialSource, MeshSource, SceneSource,
+    CameraSource,
+    LightSource,
+    MaterialSource,
+    MeshSource,
+    SceneSource,
 )  # fmt: skip
 from tests import tiny
 
@@ -37,9 +41,7 @@ def source(*, moving: bool = False) -> SceneSource:
         tiny.Part(tiny.cube(1.0).position * (0.012, 1.0, 0.012) + (x, 0.5, 1.2))
         for x in np.linspace(-1.2, 1.2, 15)
     ]
-    joined = tiny.Part(
-        np.concatenate([s.position for s in slats]).astype(np.float32)
-    )
+    joined = tiny.Part(np.concatenate([s.position for s in slats]).astype(np.float32))
     eye = look_at(np.array([1.2, 1.4, 4.0]), np.array([0.0, 0.4, 0.0]))
     group = {
         "group_names": ["static", "cube"], "transforms": transforms, "duration": 2.0,

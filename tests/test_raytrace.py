@@ -41,9 +41,7 @@ def trace(scene, tracer, traced, samples=8, chunk=2048) -> raytrace.RaytraceOutp
 
 def supersampled(scene, tracer, samples) -> np.ndarray:
     """The same pattern by full-screen raster passes at mip level 0."""
-    config = raster.Config(
-        size=SIZE, mip_maps=False, shading=effects.required(scene)
-    )
+    config = raster.Config(size=SIZE, mip_maps=False, shading=effects.required(scene))
     passes = [
         color.tonemap(
             raster.raster(

@@ -8,7 +8,7 @@ leaves, objects that move and disocclude, a shadow that moves over what stands s
 
 import numpy as np
 
-from ataa_jax.builtin import boat, garden, house, materials, moving
+from ataa_jax.builtin import boat, furniture, garden, house, materials, moving, wires
 from ataa_jax.builtin.shapes import Part, unit
 from ataa_jax.scene import CameraSource, LightSource, MeshSource, SceneSource, SkySource
 from ataa_jax.types import LIGHT_DIRECTIONAL
@@ -21,7 +21,7 @@ _SUN = LightSource(
     name="sun",
 )
 _SKY = SkySource(
-    zenith=(0.10, 0.25, 0.62), horizon=(0.70, 0.77, 0.82), ground=(0.17, 0.16, 0.12)
+    zenith=(0.06, 0.19, 0.58), horizon=(0.80, 0.85, 0.87), ground=(0.17, 0.16, 0.12)
 )
 
 
@@ -36,7 +36,9 @@ def garden_house() -> SceneSource:
     palette = materials.build()
     parts = [
         *house.parts(),
+        *furniture.parts(),
         *garden.parts(),
+        *wires.parts(),
         *boat.parts((9.85, -0.4, -4.0), 192.0, garden.bollards()),
         *moving.parts(),
     ]

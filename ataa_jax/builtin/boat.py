@@ -84,7 +84,7 @@ def _section(t: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 def _hull() -> list[Part]:
     s = _stations(41)
-    bands = {"hull": (0.50, 1.0), "boot top": (0.0, 0.50)}
+    bands = {"hull": (0.72, 1.0), "gelcoat": (0.66, 0.72), "boot top": (0.0, 0.66)}
     found = []
     for material, (inner, outer) in bands.items():
         sides = []

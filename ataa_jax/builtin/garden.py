@@ -1,15 +1,12 @@
 """The garden: ground, water, path, fences, jetty, poles and wires, and the distance."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from ataa_jax.builtin import plants, shapes
-from ataa_jax.builtin.house import HOOK
 from ataa_jax.builtin.shapes import Part, Point, Shape, box, line, merge, tube
 
 _WATER = -0.4
-WIND_WHEEL = (7.5, 4.4, 6.2)  # hub of the turning wheel
+WIND_WHEEL = (7.4, 3.9, 5.4)  # hub of the turning wheel
 
 
 def bank(z: np.ndarray | float) -> np.ndarray:
@@ -47,7 +44,6 @@ def parts() -> list[Part]:
         *_shore(),
         *_fences(),
         *_jetty(),
-        *_poles(),
         *_wind_wheel_mast(),
         *_growth(),
         *_distance(),
@@ -210,114 +206,6 @@ def _jetty() -> list[Part]:
         Part("jetty boards", merge(boards).tiled(8 * 0.152, 2.4), "deck"),
         Part("jetty frame", merge(frame), "pole"),
         Part("jetty posts", merge(posts + bow_posts), "pole"),
-    ]
-
-
-def _poles() -> list[Part]:
-    """Returns poles, overhead wires 12 mm thick, insulators, and a string of lamps."""
-    feet = [(-34.0, -17.0), (-15.5, -15.0), (3.3, -13.5), (21.5, -20.0), (44.0, -34.0)]
-    poles, insulators, wires = [], [], []
-    hang: list[list[Point]] = []
-    for x, z in feet:
-        top = 8.2
-        poles.append(
-            tube(
-                np.array([(x, -0.5, z), (x, 4.0, z), (x, top, z)]),
-                np.array([0.14, 0.12, 0.1]),
-                10,
-            )
-        )
-        poles.append(
-            box((x - 0.05, top - 0.45, z - 0.95), (x + 0.05, top - 0.33, z + 0.95))
-        )
-        knob = shapes.lathe(
-            [
-                (0.0, 0.0),
-                (0.02, 0.0),
-                (0.05, 0.04),
-                (0.03, 0.07),
-                (0.055, 0.1),
-                (0.03, 0.15),
-                (0.0, 0.16),
-            ],
-            10,
-        )
-        points: list[Point] = []
-        for dz in (-0.85, 0.0, 0.85):
-            y = top if dz == 0.0 else top - 0.33
-            insulators.append(knob.moved((x, y, z + dz)))
-            points.append((x, y + 0.15, z + dz))
-        hang.append(points)
-    for left, right in pairwise(hang):
-        for a, b in zip(left, right, strict=True):
-            span = float(np.linalg.norm(np.subtract(b, a)))
-            wires.append(tube(shapes.sagging(a, b, 0.022 * span, 28), 0.006, 5))
-    drops = [
-        tube(
-            shapes.sagging(
-                hang[2][k], (HOOK[0], HOOK[1] - 0.15 * k, HOOK[2]), 0.25, 14
-            ),
-            0.006,
-            5,
-        )
-        for k in range(3)
-    ]
-    ends: list[Point] = [
-        (2.2, 3.0, -2.15),
-        (5.0, 3.1, 3.4),
-        (WIND_WHEEL[0], 3.6, WIND_WHEEL[2]),
-    ]
-    string, bulbs = [], []
-    bulb = shapes.lathe(
-        [(0.0, -0.1), (0.03, -0.075), (0.035, -0.045), (0.014, 0.0), (0.0, 0.0)], 10
-    )
-    for a, b in pairwise(ends):
-        path = shapes.sagging(a, b, 0.45, 25)
-        string.append(tube(path, 0.004, 5))
-        bulbs += [bulb.moved(tuple(p)) for p in path[2:-1:3]]
-    post = line((5.0, 0.0, 3.4), (5.0, 3.15, 3.4), 0.03, 8)
-    return [
-        Part("poles", merge(poles), "pole"),
-        Part("insulators", merge(insulators), "gelcoat"),
-        Part("wire overhead", merge(wires), "cable"),
-        Part("wire to the house", merge(drops), "cable"),
-        Part("wire of lamps", merge(string), "cable"),
-        Part("lamp bulbs", merge(bulbs), "lamp"),
-        Part("lamp post", post, "frame"),
-        *_bollard_lamps(),
-    ]
-
-
-def _bollard_lamps() -> list[Part]:
-    bodies, glows = [], []
-    for x, z in ((0.75, 3.6), (3.0, 7.6), (-2.9, 2.3)):
-        y = float(ground(x, z))
-        bodies.append(
-            shapes.lathe(
-                [
-                    (0.0, 0.0),
-                    (0.05, 0.0),
-                    (0.05, 0.0),
-                    (0.05, 0.5),
-                    (0.05, 0.5),
-                    (0.0, 0.5),
-                ],
-                14,
-            ).moved((x, y, z))
-        )
-        bodies.append(
-            shapes.lathe(
-                [(0.0, 0.58), (0.06, 0.58), (0.06, 0.58), (0.06, 0.62), (0.0, 0.64)], 14
-            ).moved((x, y, z))
-        )
-        glows.append(
-            shapes.lathe(
-                [(0.0, 0.5), (0.042, 0.5), (0.042, 0.5), (0.042, 0.58), (0.0, 0.58)], 14
-            ).moved((x, y, z))
-        )
-    return [
-        Part("lamp bollards", merge(bodies), "frame"),
-        Part("lamp bollard glow", merge(glows), "lamp"),
     ]
 
 

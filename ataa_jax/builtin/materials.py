@@ -113,7 +113,7 @@ def _plain(p: Palette) -> None:
     p.plain("hull", (0.055, 0.085, 0.16), 0.25)
     p.plain("boot top", (0.42, 0.05, 0.04), 0.4)
     p.plain("gelcoat", (0.80, 0.79, 0.75), 0.3)
-    p.plain("varnish", (0.34, 0.155, 0.055), 0.25)
+    p.plain("varnish", (0.29, 0.145, 0.07), 0.25)
     p.plain("red", (0.60, 0.045, 0.03), 0.35)
     p.plain("yellow", (0.80, 0.46, 0.04), 0.4)
     p.plain("rubber", (0.02, 0.02, 0.02), 0.8)

@@ -188,7 +188,7 @@ def bush(foot: Point, radius: float, count: int, card: float, seed: int) -> Shap
 def potted() -> list[Part]:
     """Returns the pots by the path and on the terrace, with what grows in them."""
     deck = 0.36
-    big, low = (-1.15, 0.02, 8.7), (-2.05, 0.0, 8.15)
+    big, low = (0.05, 0.02, 8.55), (-0.95, 0.0, 8.1)
     door, corner, table = (1.75, deck, -2.45), (-9.1, deck, 0.4), (-5.6, deck, 0.55)
     terracotta = [
         pot(0.3, 0.5).moved(low),
@@ -250,7 +250,7 @@ def _trees(
 
 def woodland() -> list[Part]:
     """Returns the garden's trees, and those beyond it."""
-    shade = [(-13.2, -4.5, 8.5, 3.4), (10.2, 15.0, 7.5, 2.8)]
+    shade = [(-13.2, -4.5, 8.5, 3.4), (8.4, 15.4, 6.6, 2.3)]
     slim = [(4.0, -10.5, 7.4, 1.9), (-12.2, 4.6, 5.6, 1.8)]
     far = [
         (-21.0, -24.0, 11.0, 4.5), (-9.0, -27.0, 10.0, 4.2), (1.5, -30.0, 12.0, 4.6),

@@ -35,8 +35,9 @@ def choose(
 ) -> list[Crop]:
     """Returns windows that do not overlap, where a method's squared error is greatest.
 
-    They are chosen by the error of `method` alone, never by what ATAA gains there, so
-    that its failures are shown as well. Of equal windows the first in reading order is
+    In images of many windows they also keep a window's distance from each other. They
+    are chosen by the error of `method` alone, never by what ATAA gains there, so that
+    its failures are shown as well. Of equal windows the first in reading order is
     taken.
 
     Args:
@@ -52,6 +53,8 @@ def choose(
         for name in (method, REFERENCE)
     )
     height, width = min(size[0], image.shape[0]), min(size[1], image.shape[1])
+    # Else all would lie side by side on the one worst object.
+    spread = 2 if image.shape[0] >= 8 * height and image.shape[1] >= 8 * width else 1
     error = _box_sums(np.mean((image - truth) ** 2, axis=-1), height, width)
     crops = []
     while len(crops) < count and np.isfinite(error).any():
@@ -59,8 +62,8 @@ def choose(
         row, column = int(row), int(column)
         crops.append(Crop("ABCDEFGH"[len(crops)], row, column, height, width))
         error[
-            max(row - height + 1, 0) : row + height,
-            max(column - width + 1, 0) : column + width,
+            max(row - spread * height + 1, 0) : row + spread * height,
+            max(column - spread * width + 1, 0) : column + spread * width,
         ] = -np.inf
     # In reading order, left to right, the letters are easier to find in the picture.
     crops.sort(key=lambda crop: (crop.column, crop.row))
@@ -71,7 +74,7 @@ def choose(
 
 
 def worst_case(comparison: Comparison) -> str:
-    """Returns the method whose error chooses the windows: TAA, or what comes closest."""
+    """Returns whose error chooses the windows: TAA, or what comes closest to it."""
     for name in ("taa", "taa_ue4", "none", "fxaa"):
         if name in comparison.images:
             return name
@@ -79,7 +82,7 @@ def worst_case(comparison: Comparison) -> str:
 
 
 def score(image: np.ndarray, truth: np.ndarray) -> tuple[str, float]:
-    """Returns what measures a window, and its value: SSIM, or MSE where it is too small.
+    """Returns a window's measure and its value: SSIM, or MSE where it is too small.
 
     Args:
         image: uint8 (h, w, 3).

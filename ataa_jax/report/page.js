@@ -75,10 +75,13 @@
 
   function measure() {
     const dpr = window.devicePixelRatio || 1;
-    const room = Math.min(stage.parentElement.clientWidth, 1280);
-    fit = (room * dpr) / W;
-    // A whole number of screen pixels a pixel, where that costs little of the width.
-    if (fit >= 1 && Math.floor(fit) / fit > 0.86) fit = Math.floor(fit);
+    const wide = (Math.min(stage.parentElement.clientWidth, 1280) * dpr) / W;
+    // Controls and scrubber stay in view beside the picture, unless it got tiny.
+    const high = (Math.max(window.innerHeight - 170, 240) * dpr) / H;
+    fit = Math.min(wide, Math.max(high, 1));
+    // A whole number of screen pixels a pixel, where that changes the size little.
+    const whole = Math.floor(fit < 1 ? fit : Math.min(wide, 1.2 * fit));
+    if (whole >= 1 && whole / fit > 0.86) fit = whole;
     view.width = Math.round(W * fit); view.height = Math.round(H * fit);
     stage.style.width = `${view.width / dpr}px`;
     stage.style.height = `${view.height / dpr}px`;
@@ -152,7 +155,8 @@
     $("frame").setAttribute("aria-valuetext", `frame ${shown} of ${last}`);
     $("tag-left").textContent = byName[state.left].label + suffix(state.left);
     $("tag-right").textContent = byName[state.right].label + suffix(state.right);
-    $("readout").textContent = `${facts(state.left)}   |   ${facts(state.right)}`;
+    $("facts-left").textContent = facts(state.left);
+    $("facts-right").textContent = facts(state.right);
     view.setAttribute("aria-label",
       `Frame ${shown}: ${byName[state.left].label} on the left, ${byName[state.right].label} on the right`);
     const maps = hasMap(state.left) || hasMap(state.right);
@@ -408,25 +412,32 @@
     const chain = drawn.filter((d) => d.m.family === "ssaa").sort((a, b) => a.cost - b.cost);
     if (chain.length > 1)
       root.append(svg("polyline", { class: "line", style: "stroke:var(--ssaa)", points: chain.map((d) => `${of(d.cost)},${y(d.value)}`).join(" ") }));
-    // Labels of one neighbourhood are pushed apart downwards, right of their points.
-    const labels = drawn.map((d) => ({ ...d, x: of(d.cost), from: y(d.value), y: y(d.value) }));
-    labels.sort((a, b) => a.y - b.y);
-    labels.forEach((l, i) => {
-      for (const other of labels.slice(0, i))
-        if (Math.abs(other.x - l.x) < 110 && l.y < other.y + 14 && l.y > other.y - 14) l.y = other.y + 14;
-    });
-    for (const l of labels) {
-      const hollow = l.m.dashed ? `fill:var(--paper);stroke:${color(l.m)};stroke-width:1.6` : `fill:${color(l.m)}`;
-      const flip = l.x > P.w - 110;
+    // Each label takes the first place beside its point that is still free.
+    const points = drawn.map((d) => ({ ...d, x: of(d.cost), y: y(d.value) }));
+    const taken = points.map((p) => [p.x - 6, p.y - 6, p.x + 6, p.y + 6]);
+    const free = (box) => box[0] > P.l && box[2] < P.w && box[1] > 0 && box[3] < P.h - P.b + 2 &&
+      !taken.some((t) => t[0] < box[2] && t[2] > box[0] && t[1] < box[3] && t[3] > box[1]);
+    for (const p of [...points].sort((a, b) => strong(b.m) - strong(a.m))) {
+      const bold = strong(p.m), long = p.m.label.length * (bold ? 7.1 : 6.5);
+      const spots = [[10, 0], [-long - 10, 0]];
+      for (let up = 1; up <= 6; up++)
+        for (const sign of [-1, 1]) spots.push([8, sign * 13 * up], [-long / 2, sign * 13 * up], [-long - 8, sign * 13 * up]);
+      const box = ([dx, dy]) => [p.x + dx, p.y + dy - 7, p.x + dx + long, p.y + dy + 6];
+      const spot = spots.find((each) => free(box(each))) || spots[0];
+      taken.push(box(spot));
+      const style = p.m.dashed ? `fill:var(--paper);stroke:${color(p.m)};stroke-width:1.6` : `fill:${color(p.m)}`;
+      if (Math.abs(spot[1]) > 26)
+        root.append(svg("line", { class: "grid", x1: p.x, y1: p.y, x2: p.x + spot[0] + (spot[0] < -20 ? long : 0), y2: p.y + spot[1] }));
       root.append(
-        svg("circle", { cx: l.x, cy: l.from, r: strong(l.m) ? 6 : 4.4, style: hollow }),
-        svg("text", { class: strong(l.m) ? "strong" : "", x: l.x + (flip ? -10 : 10), y: l.y + 4, "text-anchor": flip ? "end" : "start" }, l.m.label));
+        svg("circle", { cx: p.x, cy: p.y, r: bold ? 6 : 4.4, style }),
+        svg("text", { class: bold ? "strong" : "", x: p.x + spot[0], y: p.y + spot[1] + 4 }, p.m.label));
     }
   }
 
   function plots() { overFrames(); againstCost(); }
   $("metric").addEventListener("change", plots);
 
+  window.addEventListener("resize", () => { measure(); draw(); });
   new ResizeObserver(() => { measure(); draw(); }).observe(stage.parentElement);
   measure();
   update();

@@ -98,13 +98,17 @@ def _facts(comparison: Comparison) -> list[tuple[str, str]]:
     return [
         ("Size", f"{comparison.size[1]} × {comparison.size[0]}"),
         ("Camera path", comparison.path),
-        ("Frames", f"{len(comparison.images[REFERENCE])}, after {options.lead_in}"),
+        ("Frames", _frames(len(comparison.images[REFERENCE]), options.lead_in)),
         ("Reference", f"{options.reference_samples} samples a pixel"),
         (
             "Ray budget",
             f"{budget:g} a pixel" if np.isfinite(budget) else "none",
         ),
     ]
+
+
+def _frames(count: int, lead_in: int) -> str:
+    return f"{count}, after a lead-in of {lead_in}" if lead_in else f"{count}"
 
 
 def _lede(comparison: Comparison) -> list[tuple[str, str, str]]:
@@ -116,11 +120,9 @@ def _lede(comparison: Comparison) -> list[tuple[str, str, str]]:
         if name is None or name not in comparison.images:
             continue
         rays = comparison.mean(name, "rays_per_pixel")
-        cost = "1 sample a pixel"
-        if family(name) == "ssaa":
-            cost = f"{rays:g} samples a pixel"
-        elif name in comparison.masks:
-            cost = f"1 sample and {rays:.2f} rays a pixel"
+        cost = f"{rays:g} samples" if family(name) == "ssaa" else "1 sample"
+        if name in comparison.masks:
+            cost = f"1 sample + {rays:.2f} rays"
         value = comparison.mean(name, "ssim")
         out.append((label(name), "–" if np.isnan(value) else f"{value:.4f}", cost))
     return out

@@ -32,7 +32,7 @@ def greyscale(image: np.ndarray) -> np.ndarray:
 
 
 def mask_overlay(image: np.ndarray, method: np.ndarray) -> np.ndarray:
-    """Lays the mask's colours over the greyscale image: red FXAA, blue TAA, yellow ATAA.
+    """Lays the mask over the greyscale image: red FXAA, blue TAA, yellow ATAA.
 
     Args:
         image: uint8 (h, w, 3), sRGB.
@@ -93,7 +93,7 @@ def enlarge(image: np.ndarray, zoom: int) -> Image.Image:
 
 
 def fit(image: np.ndarray, width: int) -> Image.Image:
-    """Returns the image at a width: whole enlargements as squares, all else filtered."""
+    """Returns the image at a width: whole enlargements as squares, others filtered."""
     if width % image.shape[1] == 0:
         return enlarge(image, width // image.shape[1])
     height = max(round(image.shape[0] * width / image.shape[1]), 1)

@@ -1,4 +1,4 @@
-"""Plots over frames, and quality against rays: Matplotlib, the same bytes every time."""
+"""Plots over frames, and quality against rays: the same bytes every time."""
 
 import io
 from collections.abc import Callable
