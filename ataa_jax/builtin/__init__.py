@@ -21,7 +21,7 @@ _SUN = LightSource(
     name="sun",
 )
 _SKY = SkySource(
-    zenith=(0.06, 0.19, 0.58), horizon=(0.80, 0.85, 0.87), ground=(0.17, 0.16, 0.12)
+    zenith=(0.07, 0.22, 0.56), horizon=(0.80, 0.85, 0.86), ground=(0.17, 0.16, 0.12)
 )
 
 

@@ -152,7 +152,7 @@ def _deck() -> list[Part]:
         for side in (-0.66, 0.66)
     ]
     coaming.append(box((-0.685, 0.75, -2.95), (0.685, 1.02, -2.9)))
-    hatch = box((-0.3, 0.84, -0.64), (0.3, 1.28, -0.6))
+    hatch = box((-0.27, 0.84, -0.64), (0.27, 1.22, -0.6))
     seats = box((-0.63, 0.8, -2.9), (0.63, 0.89, -0.64))
     return [
         Part("boat deck", deck.tiled(1.0, 2.4), "deck"),
@@ -213,7 +213,7 @@ def _sails() -> list[Part]:
     path[:, 1] += 0.02 * np.sin(s * 40.0)
     bulk = (
         (0.135 - 0.06 * s)
-        * (1.0 + 0.12 * np.sin(s * 57.0))
+        * (1.0 + 0.05 * np.sin(s * 57.0) + 0.05 * np.sin(s * 23.0))
         * np.minimum(1.0, 0.25 + 12 * np.minimum(s, 1 - s))
     )
     furled = tube(path, bulk, 12)
