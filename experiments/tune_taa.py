@@ -23,7 +23,7 @@ from ataa_jax import color as colors
 from ataa_jax import metrics, pipeline, raster, reference, sampling, taa
 from ataa_jax import world as worlds
 
-WEIGHTS = (0.05, 0.1, 0.2, 0.3)
+WEIGHTS = (0.1, 0.2, 0.3)
 MIP_BIASES = (0.0, -1.0, -2.0)
 FILTERS = ("bilinear", "catmull_rom")
 RECTIFIERS = (
@@ -31,9 +31,8 @@ RECTIFIERS = (
     ("clamp", 1.0),
     ("clip", 1.0),
     ("variance_clip", 1.0),
-    ("variance_clip", 1.5),
 )
-SCORED = 3  # the last frames of each sequence
+SCORED = 2  # the last frames of each sequence
 
 
 def grid() -> list[tuple[str, taa.Config, taa.Params]]:
@@ -96,8 +95,8 @@ def scores(
 def main() -> None:
     """Runs the grid and writes the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", default="384x216")
-    parser.add_argument("--frames", type=int, default=14)
+    parser.add_argument("--size", default="320x180")
+    parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--reference-samples", type=int, default=64)
     options = parser.parse_args()
     width, height = (int(part) for part in options.size.split("x"))
