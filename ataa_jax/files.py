@@ -10,7 +10,9 @@ No file carries a time, a host or a path: equal input gives equal bytes.
 
 import csv
 import io
+import itertools
 import shutil
+import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -184,28 +186,28 @@ def write_video(file: Path, frames: Iterable[np.ndarray], fps: float) -> None:
 
     iterator = iter(frames)
     first = next(iterator)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    # Not imageio_ffmpeg's own writer: it forks, which a process that runs JAX must not.
     with atomic(file) as part:
-        writer = imageio_ffmpeg.write_frames(
-            str(part),
-            (first.shape[1], first.shape[0]),
-            fps=fps,
-            codec="libx264",
-            quality=None,
-            macro_block_size=1,
-            output_params=[
-                *("-crf", "14", "-preset", "medium", "-threads", "1"),
-                *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"),
-                *("-fflags", "+bitexact", "-flags:v", "+bitexact"),
-                *("-map_metadata", "-1", "-movflags", "+faststart"),
-            ],
-        )
-        writer.send(None)
-        try:
-            writer.send(np.ascontiguousarray(first))
-            for frame in iterator:
-                writer.send(np.ascontiguousarray(frame))
-        finally:
-            writer.close()
+        command = [
+            imageio_ffmpeg.get_ffmpeg_exe(),
+            *("-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size),
+            *("-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-crf", "14"),
+            *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,format=yuv420p", "-threads", "1"),
+            *("-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"),
+            *("-movflags", "+faststart", str(part)),
+        ]
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, process_group=0
+        ) as process:
+            assert process.stdin is not None
+            assert process.stderr is not None
+            with suppress(BrokenPipeError), process.stdin as pipe:
+                for frame in itertools.chain([first], iterator):
+                    pipe.write(np.ascontiguousarray(frame).data)
+            problem = process.stderr.read().decode(errors="replace").strip()
+        if process.returncode:
+            raise OSError(f"the video encoder failed: {problem}")
 
 
 def decimals(value: float, digits: int) -> str:

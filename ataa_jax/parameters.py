@@ -107,6 +107,10 @@ def _leaf(old: Any, value: object, where: str, name: str) -> Any:
         raise InputError(f"{where}: '{name}' must be {wanted}, not {value!r}")
     if np.any(np.isnan(array)) or (name != "budget" and not np.all(np.isfinite(array))):
         raise InputError(f"{where}: '{name}' must be finite, not {value!r}")
+    if name == "budget" and array < 0.0:
+        raise InputError(f"{where}: 'budget' must be at least 0, not {value!r}")
+    if np.issubdtype(dtype, np.integer) and np.any(array != np.round(array)):
+        raise InputError(f"{where}: '{name}' must be a whole number, not {value!r}")
     return jnp.asarray(array.astype(dtype))
 
 

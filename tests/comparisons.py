@@ -48,7 +48,7 @@ def comparison(
     random = np.random.default_rng(0)
     for frame in range(frames):
         truth = draw(size, frame, 16).astype(np.float32)
-        edge = np.abs(np.gradient(truth.mean(-1), axis=1)) > 0.08
+        edge = np.abs(np.diff(truth.mean(-1), axis=1, prepend=0.5)) > 0.08
         mask = np.where(edge, 2, 1).astype(np.uint8)
         mask[:, -max(size[1] // 32, 1) :] = 0
         why = np.where(edge, 8 + 16 * (random.random(size) < 0.5), 0).astype(np.uint8)

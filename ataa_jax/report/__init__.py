@@ -18,7 +18,7 @@ from ataa_jax.compare import Comparison
 from ataa_jax.report import page, plots, tables
 from ataa_jax.report.crops import choose
 from ataa_jax.report.picture import mask_overlay, why_overlay
-from ataa_jax.report.strip import hero, strip
+from ataa_jax.report.strips import hero, strip
 from ataa_jax.report.tables import table, terminal, write_timings
 
 __all__ = [

@@ -58,7 +58,7 @@
           if (entry) { color = entry.color; alpha = entry.alpha; }
         } else {
           const entry = data.reasons.find((r) => (m[i + 1] & r.bits) === r.bits);
-          if (entry) { color = entry.color; alpha = data.reasonAlpha; }
+          if (entry) { color = entry.color; alpha = entry.alpha; }
         }
         for (let c = 0; c < 3; c++) p[i + c] = luma * (1 - alpha) + (color ? color[c] * alpha : 0);
       }

@@ -20,13 +20,12 @@ from ataa_jax.report.palette import (
     MASK_ALPHA,
     MASK_COLORS,
     MASK_NAMES,
-    REASON_ALPHA,
     REASONS,
     family,
     from_literature,
     samples,
 )
-from ataa_jax.report.strip import best_adaptive, label, strip
+from ataa_jax.report.strips import best_adaptive, label, strip
 
 # our choice: what still opens at once and fits into a mail.
 LIMIT_BYTES = 15_000_000
@@ -206,9 +205,9 @@ def _data(comparison: Comparison, frames: range, quality: int) -> dict[str, obje
             for k, color in sorted(MASK_COLORS.items())
         ],
         "reasons": [
-            {"bits": r.bits, "name": r.name, "color": r.color} for r in REASONS
+            {"bits": r.bits, "name": r.name, "color": r.color, "alpha": r.alpha}
+            for r in REASONS
         ],
-        "reasonAlpha": REASON_ALPHA,
     }
 
 

@@ -31,11 +31,13 @@ class Reason(NamedTuple):
     bits: int
     name: str
     color: Rgb
+    alpha: float = 0.85
 
 
 # A pixel shows the first reason that applies to it.
 REASONS: tuple[Reason, ...] = (
-    Reason(types.WHY_OVER_BUDGET, "over the ray budget", (214, 60, 214)),
+    # our choice: thin, as it may cover a third of a frame.
+    Reason(types.WHY_OVER_BUDGET, "over the ray budget", (190, 80, 190), alpha=0.45),
     Reason(types.WHY_OFF_SCREEN, "no previous position", (226, 48, 48)),
     Reason(types.WHY_DISOCCLUDED, "disoccluded", (245, 130, 32)),
     Reason(
@@ -45,7 +47,6 @@ REASONS: tuple[Reason, ...] = (
     Reason(types.WHY_DEPTH, "depth", (38, 198, 190)),
     Reason(types.WHY_HELD, "held from earlier frames", (150, 110, 230)),
 )
-REASON_ALPHA = 0.85
 
 _FAMILY_COLORS = {
     "none": "#7a828c",

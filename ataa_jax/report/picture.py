@@ -12,7 +12,6 @@ from ataa_jax import types
 from ataa_jax.report.palette import (
     MASK_ALPHA,
     MASK_COLORS,
-    REASON_ALPHA,
     REASONS,
     Rgb,
 )
@@ -22,6 +21,7 @@ SOFT: Rgb = (104, 111, 120)
 PAPER: Rgb = (255, 255, 255)
 RULE: Rgb = (214, 217, 221)
 
+Number = int | float
 Anchor = Literal["la", "ma", "ra", "lm", "mm", "rm", "ls", "ms", "rs"]
 
 
@@ -61,7 +61,7 @@ def why_overlay(image: np.ndarray, why: np.ndarray) -> np.ndarray:
     for reason in reversed(REASONS):
         here = (why & reason.bits) == reason.bits
         color[here] = reason.color
-        alpha[here] = REASON_ALPHA
+        alpha[here] = reason.alpha
     return _blend(image, color, alpha)
 
 
@@ -101,7 +101,7 @@ def fit(image: np.ndarray, width: int) -> Image.Image:
 
 
 @cache
-def font(size: float, bold: bool = False) -> ImageFont.FreeTypeFont:
+def font(size: Number, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Returns DejaVu Sans, which comes with Matplotlib: the same on every machine."""
     folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -123,11 +123,11 @@ class Sheet:
 
     def text(
         self,
-        x: float,
-        y: float,
+        x: Number,
+        y: Number,
         text: str,
         *,
-        size: float = 12,
+        size: Number = 12,
         bold: bool = False,
         color: Rgb = INK,
         anchor: Anchor = "la",
@@ -137,11 +137,11 @@ class Sheet:
         self.draw.text((x, y), text, fill=color, font=face, anchor=anchor)
         return face.getlength(text)
 
-    def rule(self, x: float, y: float, width: float) -> None:
+    def rule(self, x: Number, y: Number, width: Number) -> None:
         """Draws a hairline."""
         self.draw.line([(x, y), (x + width - 1, y)], fill=RULE)
 
-    def frame(self, box: tuple[float, float, float, float], letter: str) -> None:
+    def frame(self, box: tuple[Number, Number, Number, Number], letter: str) -> None:
         """Frames a part of a picture, white within a dark line, with its letter."""
         x0, y0, x1, y1 = (round(v) for v in box)
         self.draw.rectangle((x0 - 1, y0 - 1, x1 + 1, y1 + 1), outline=(20, 20, 20))
@@ -149,14 +149,14 @@ class Sheet:
         if letter:
             self.tag(x0, y0, letter)
 
-    def tag(self, x: float, y: float, letter: str) -> None:
+    def tag(self, x: Number, y: Number, letter: str) -> None:
         """Writes a letter in a small white square whose top left corner is (x, y)."""
         self.draw.rectangle((x, y, x + 14, y + 15), fill=PAPER)
         self.text(x + 7.5, y + 8, letter, size=11, bold=True, anchor="mm")
 
     def legend(
-        self, x: float, y: float, entries: list[tuple[str, Rgb]], *, size: float = 11
-    ) -> float:
+        self, x: Number, y: Number, entries: list[tuple[str, Rgb]], *, size: Number = 11
+    ) -> Number:
         """Writes colour keys in a row, and returns where it ends."""
         for name, color in entries:
             self.draw.rectangle((x, y + 2, x + 10, y + 12), fill=color, outline=SOFT)

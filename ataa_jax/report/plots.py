@@ -20,7 +20,7 @@ from ataa_jax.report.palette import (
     line_color,
     samples,
 )
-from ataa_jax.report.strip import best_adaptive, label
+from ataa_jax.report.strips import best_adaptive, label
 
 _STYLE = {
     "font.family": "DejaVu Sans",

@@ -13,7 +13,7 @@ from rich.table import Table
 from ataa_jax import files
 from ataa_jax.compare import METHODS, REFERENCE, Comparison
 from ataa_jax.report.palette import family
-from ataa_jax.report.strip import label
+from ataa_jax.report.strips import label
 
 
 class Column(NamedTuple):
