@@ -292,9 +292,7 @@ def _read_history(
             low, high = jnp.minimum(low, other), jnp.maximum(high, other)
         total = jnp.clip(total, low, high)
     exact = image.reshape(-1, 3).at[rows[middle] + columns[middle]]
-    total, exact = window.materialize(
-        (total, exact.get(mode="promise_in_bounds"))
-    )
+    total, exact = window.materialize((total, exact.get(mode="promise_in_bounds")))
     return _in_range(vector.unstack(total), config), vector.unstack(exact)
 
 

@@ -1,0 +1,110 @@
+"""Segmentation pixel by pixel, in the order that the paper tells it."""
+
+import numpy as np
+
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+SOBEL = np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], float)
+
+
+def at(image, row, column):
+    height, width = image.shape[:2]
+    return image[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+
+
+def window(image, row, column):
+    return np.array(
+        [[at(image, row + r, column + c) for c in (-1, 0, 1)] for r in (-1, 0, 1)]
+    )
+
+
+def luminance_term(color, reprojected, row, column, floor):
+    means = []
+    for image in (color, reprojected):
+        mapped = image / (1.0 + image.max(axis=-1, keepdims=True))
+        means.append(window(mapped @ LUMA, row, column).mean())
+    larger = max(means)
+    return 0.0 if larger < floor else abs(means[0] - means[1]) / larger
+
+
+def depth_term(depth, row, column):
+    inverse = 1.0 / window(depth.astype(float), row, column)
+    if inverse.max() == 0.0:
+        return 0.0
+    gradient = np.hypot((SOBEL * inverse).sum(), (SOBEL.T * inverse).sum())
+    return gradient / (8.0 * inverse.max())
+
+
+def segmentation(state, color, gbuffer, reprojected, params, config):
+    """Returns (method, hold counter, why, score), arrays; inputs are NumPy pytrees."""
+    height, width = gbuffer.depth.shape
+    method, hold = np.zeros((2, height, width), int)
+    why, score = np.zeros((height, width), int), np.zeros((height, width))
+    color, reprojected = color.astype(float), reprojected.astype(float)
+    p = params
+    for row in range(height):
+        for column in range(width):
+            m = gbuffer.motion[row, column].astype(float)
+            y, x = row + 0.5 + m[1], column + 0.5 + m[0]
+            seen = bool(state.history.valid) and bool(gbuffer.motion_valid[row, column])
+            if not (seen and 0 <= y <= height and 0 <= x <= width):
+                why[row, column] = 1
+                continue
+            y, x = int(np.floor(y)), int(np.floor(x))
+            m_then = at(state.history.motion, y, x).astype(float)
+            change = np.hypot(*(m - m_then))
+            length = max(np.hypot(*m), np.hypot(*m_then))
+            limit = p.disocclusion_px + p.disocclusion_relative * length
+            hidden = config.use_disocclusion and change > limit
+            if config.use_disocclusion and config.depth_disocclusion:
+                z, z_then = gbuffer.depth[row, column], at(state.history.depth, y, x)
+                hidden |= z_then < (1.0 - p.depth_relative) * z and np.isfinite(z_then)
+            if hidden:
+                why[row, column] = 2
+                continue
+            held = (
+                at(state.classification.mask, y, x) >> 16 if config.use_history else 0
+            )
+            if held and change > p.reset_px:
+                held, why[row, column] = 0, 64
+            luminance = depth = 0.0
+            w_l, w_d = float(p.luminance_weight), float(p.depth_weight)
+            if config.use_luminance:
+                luminance = luminance_term(
+                    color, reprojected, row, column, p.luminance_floor
+                )
+            else:
+                w_l = 0.0
+            if config.use_depth:
+                depth = depth_term(gbuffer.depth, row, column)
+            else:
+                w_d = 0.0
+            if config.reading == "sum":
+                value = (w_l * luminance + w_d * depth) / max(w_l + w_d, 1e-30)
+                least, limits = p.threshold, (p.threshold, p.threshold)
+            else:
+                limits = (p.luminance_threshold, p.depth_threshold)
+                over = max(luminance / limits[0], depth / limits[1])
+                value, least = over / (1.0 + over), 0.5
+            fires = value > least
+            if held:
+                why[row, column] |= 4
+                value = max(value, least)
+            if fires:
+                why[row, column] |= 8 * (luminance > limits[0]) + 16 * (
+                    depth > limits[1]
+                )
+            method[row, column] = 2 if held or fires else 1
+            hold[row, column] = max(int(held) - 1, 0)
+            if fires and config.use_history:
+                hold[row, column] = min(max(int(p.hold), 0), 65535)
+            score[row, column] = value
+    return method, hold, why, score
+
+
+def budget(method, score, allowed):
+    """Returns the mask of pixels that keep their rays, by a plain stable sort."""
+    wants = np.flatnonzero(method.reshape(-1) == 2)
+    ranked = sorted(wants, key=lambda index: (-score.reshape(-1)[index], index))
+    keeps = np.zeros(method.size, bool)
+    keeps[ranked[: max(allowed, 0)]] = True
+    return keeps.reshape(method.shape)

@@ -1,0 +1,319 @@
+"""Segmentation: the paper's order of tests, the hold counter, terms and the budget."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ataa_jax import compact, segmentation, types
+from tests.oracles import segmentation as oracle
+
+CONFIG = segmentation.Config()
+LOW = 0xFFFF
+
+
+def frame(size, *, motion=None, depth=None, seed=0):
+    """State, colour, G-buffer and reprojected history of a still, flat grey view."""
+    grey = jnp.full((*size, 3), 0.5, jnp.float32)
+    still = np.zeros((*size, 2), np.float32) if motion is None else motion
+    depth = np.ones(size, np.float32) if depth is None else depth
+    gbuffer = types.GBuffer(
+        depth=jnp.asarray(depth, jnp.float32),
+        motion=jnp.asarray(still, jnp.float32),
+        motion_valid=jnp.ones(size, bool),
+        normal=jnp.zeros((*size, 3), jnp.float32),
+        object=jnp.zeros(size, jnp.int32),
+        material=jnp.zeros(size, jnp.int32),
+    )
+    past = types.History(
+        color=grey,
+        depth=gbuffer.depth,
+        motion=gbuffer.motion,
+        count=jnp.ones(size, jnp.float32),
+        valid=jnp.asarray(True),
+    )
+    mask = types.Classification(mask=jnp.zeros(size, jnp.uint32))
+    return types.State(history=past, classification=mask), grey, gbuffer, grey
+
+
+def random_frame(size, seed):
+    rng = np.random.default_rng(seed)
+    motion = rng.uniform(-2.0, 2.0, (*size, 2)).astype(np.float32)
+    depth = rng.uniform(1.0, 4.0, size)
+    depth[rng.random(size) < 0.4] = np.inf
+    state, _, gbuffer, _ = frame(size, motion=motion, depth=depth)
+    color = rng.uniform(0.0, 2.0, (*size, 3)) * (rng.random(size) < 0.6)[..., None]
+    then = motion + rng.choice([0.0, 0.3, 0.9, 3.0], (*size, 1))
+    held = rng.integers(0, 4, size) * (rng.random(size) < 0.5)
+    state = eqx.tree_at(
+        lambda s: (s.history.motion, s.history.depth, s.classification.mask),
+        state,
+        (
+            jnp.asarray(then, jnp.float32),
+            jnp.asarray(rng.uniform(1.0, 4.0, size), jnp.float32),
+            jnp.asarray((held << 16) | 1, jnp.uint32),
+        ),
+    )
+    gbuffer = eqx.tree_at(
+        lambda g: g.motion_valid, gbuffer, jnp.asarray(rng.random(size) < 0.9)
+    )
+    reprojected = color * rng.uniform(0.5, 1.5, (*size, 1))
+    return (
+        state,
+        jnp.asarray(color, jnp.float32),
+        gbuffer,
+        jnp.asarray(reprojected, jnp.float32),
+    )
+
+
+def run(inputs, config=CONFIG, **params):
+    params = segmentation.default_params(**params)
+    out = segmentation.segmentation(*inputs, params, config=config)
+    method, hold = segmentation.unpack_mask(out.mask)
+    return np.asarray(method), np.asarray(hold), out
+
+
+CONFIGS = {
+    "paper": CONFIG,
+    "either": segmentation.Config(reading="either"),
+    "depth test": segmentation.Config(depth_disocclusion=True),
+    "no motion test": segmentation.Config(use_disocclusion=False),
+    "no history": segmentation.Config(use_history=False, use_luminance=False),
+    "no depth": segmentation.Config(use_depth=False),
+}
+
+
+@pytest.mark.parametrize("size", [(9, 11), (1, 1), (2, 5)])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_choice_agrees_with_the_oracle(name, size):
+    params = segmentation.default_params(
+        threshold=0.12, disocclusion_px=0.5, reset_px=0.7, hold=5, depth_weight=2.0
+    )
+    inputs = random_frame(size, seed=len(name))
+    out = segmentation.segmentation(*inputs, params, config=CONFIGS[name])
+    arrays = jax.tree.map(np.asarray, inputs)
+    expected = oracle.segmentation(
+        *arrays, jax.tree.map(np.asarray, params), CONFIGS[name]
+    )
+    method, hold = segmentation.unpack_mask(out.mask)
+    for got, want in zip((method, hold, out.why), expected, strict=False):
+        np.testing.assert_array_equal(got, want)
+    # The largest error of a quotient of nine-term sums in float32.
+    np.testing.assert_allclose(out.score, expected[3], atol=2e-6)
+
+
+def test_five_pixels_by_hand():
+    state, color, gbuffer, _ = frame((1, 5))
+    gbuffer = eqx.tree_at(
+        lambda g: (g.motion_valid, g.motion),
+        gbuffer,
+        (
+            gbuffer.motion_valid.at[0, 0].set(False),  # nothing known of the past
+            gbuffer.motion.at[0, 1].set(jnp.asarray([2.0, 0.0])),  # was still before
+        ),
+    )
+    held = np.array([[7, 7, 3, 1, 0]])
+    state = eqx.tree_at(
+        lambda s: s.classification.mask, state, jnp.asarray(held << 16, jnp.uint32)
+    )
+    method, hold, out = run((state, color, gbuffer, color))
+    np.testing.assert_array_equal(method, [[0, 0, 2, 2, 1]])
+    np.testing.assert_array_equal(hold, [[0, 0, 2, 0, 0]])
+    np.testing.assert_array_equal(out.why, [[1, 2, 4, 4, 0]])
+    np.testing.assert_allclose(out.score, [[0, 0, 0.1, 0.1, 0]])
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=list(CONFIGS))
+def test_a_still_flat_view_is_all_taa(config):
+    method, hold, out = run(frame((7, 9)), config)
+    assert np.all(method == types.METHOD_TAA)
+    assert not np.any(hold)
+    assert not np.any(out.why)
+    assert not np.any(out.score)
+
+
+@pytest.mark.parametrize("size", [(7, 9), (1, 1)])
+def test_the_first_frame_is_all_fxaa_and_says_why(size):
+    state, *rest = random_frame(size, seed=1)
+    state = eqx.tree_at(lambda s: s.history.valid, state, jnp.asarray(False))
+    method, hold, out = run((state, *rest))
+    assert np.all(method == types.METHOD_FXAA)
+    assert not np.any(hold)
+    assert np.all(np.asarray(out.why) == types.WHY_OFF_SCREEN)
+
+
+def test_motion_that_leads_off_screen_or_is_no_number_is_fxaas():
+    for bad in (1e9, np.nan, np.inf):
+        motion = np.full((4, 5, 2), bad, np.float32)
+        method, _, out = run(frame((4, 5), motion=motion))
+        assert np.all(method == types.METHOD_FXAA)
+        assert np.all(np.isfinite(out.score))
+
+
+def test_what_a_moving_object_uncovers_is_disoccluded():
+    # The object covered columns 2 and 3 and moved right by two; the background stands.
+    state, color, gbuffer, _ = frame((3, 8))
+    then = np.zeros((3, 8, 2), np.float32)
+    then[:, 2:4, 0] = -2.0
+    now = np.zeros((3, 8, 2), np.float32)
+    now[:, 4:6, 0] = -2.0
+    state = eqx.tree_at(lambda s: s.history.motion, state, jnp.asarray(then))
+    gbuffer = eqx.tree_at(lambda g: g.motion, gbuffer, jnp.asarray(now))
+    method, _, _ = run((state, color, gbuffer, color))
+    np.testing.assert_array_equal(
+        method[1] == types.METHOD_FXAA, [0, 0, 1, 1, 0, 0, 0, 0]
+    )
+
+
+def test_the_depth_test_sees_only_what_was_hidden():
+    config = segmentation.Config(depth_disocclusion=True)
+    now = np.float32([[4.0, 4.0, np.inf, np.inf, 2.0]])
+    then = np.float32([[2.0, 3.9, 3.0, np.inf, 9.0]])
+    state, color, gbuffer, _ = frame((1, 5), depth=now)
+    state = eqx.tree_at(lambda s: s.history.depth, state, jnp.asarray(then))
+    _, _, out = run((state, color, gbuffer, color), config)
+    np.testing.assert_array_equal(np.asarray(out.why) & 2, [[2, 0, 2, 0, 0]])
+
+
+def test_a_pixel_that_fires_once_is_traced_for_hold_frames_more():
+    state, grey, gbuffer, _ = frame((5, 5))
+    methods = []
+    for index in range(8):
+        then = grey * (0.25 if index == 0 else 1.0)
+        method, _, out = run((state, grey, gbuffer, then), hold=4)
+        methods.append(method[2, 2])
+        state = eqx.tree_at(lambda s: s.classification.mask, state, out.mask)
+        if index == 1:
+            assert out.why[2, 2] == types.WHY_HELD
+    assert methods == [2, 2, 2, 2, 2, 1, 1, 1]
+
+
+def test_a_significant_change_of_motion_resets_the_counter():
+    config = segmentation.Config(use_disocclusion=False)
+    state, grey, gbuffer, _ = frame((3, 3))
+    state = eqx.tree_at(
+        lambda s: (s.classification.mask, s.history.motion),
+        state,
+        (jnp.full((3, 3), 4 << 16, jnp.uint32), jnp.full((3, 3, 2), 5.0, jnp.float32)),
+    )
+    method, hold, out = run((state, grey, gbuffer, grey), config)
+    assert np.all(method == types.METHOD_TAA)
+    assert not np.any(hold)
+    assert np.all(np.asarray(out.why) == types.WHY_RESET)
+
+
+@given(st.integers(0, 2), st.integers(0, 1 << 20))
+def test_the_mask_is_unpacked_as_packed_and_saturates(method, history):
+    mask = segmentation.pack_mask(
+        jnp.full((1, 1), method, jnp.uint32), jnp.full((1, 1), history, jnp.uint32)
+    )
+    got = segmentation.unpack_mask(mask)
+    assert int(got[0][0, 0]) == method
+    assert int(got[1][0, 0]) == min(history, 65535)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 1000), scale=st.sampled_from([2.0**-20, 0.5, 2.0**20]))
+def test_terms_lie_in_the_unit_interval_and_scaling_the_scene_changes_nothing(
+    seed, scale
+):
+    state, color, gbuffer, then = random_frame((9, 11), seed)
+    _, _, out = run((state, color, gbuffer, then))
+    for term in (out.luminance, out.depth, out.score):
+        assert np.all((np.asarray(term) >= 0.0) & (np.asarray(term) <= 1.0))
+    gbuffer = eqx.tree_at(lambda g: g.depth, gbuffer, gbuffer.depth * scale)
+    _, _, scaled = run((state, color, gbuffer, then))
+    np.testing.assert_array_equal(scaled.mask, out.mask)
+
+
+def test_a_planes_depth_term_is_its_constant_gradient():
+    # 1/z rises by 0.01 a pixel: Sobel's 8 · 0.01, over 8 · the largest, to the right.
+    inverse = 1.0 + 0.01 * np.arange(9.0)
+    depth = np.broadcast_to(1.0 / inverse, (5, 9))
+    _, _, out = run(frame((5, 9), depth=depth))
+    expected = 0.01 / inverse[2:]
+    # 1/z near 1 is rounded to 6e-8; its differences are summed.
+    np.testing.assert_allclose(out.depth[2, 1:-1], expected, atol=3e-7)
+
+
+def test_bad_radiance_leaves_the_terms_finite():
+    state, color, gbuffer, then = frame((4, 5))
+    color = color.at[1, 1].set(jnp.nan).at[2, 2].set(jnp.inf).at[3, 3].set(-1.0)
+    depth = gbuffer.depth.at[0, 0].set(jnp.nan).at[1, 0].set(0.0).at[2, 0].set(-1.0)
+    gbuffer = eqx.tree_at(lambda g: g.depth, gbuffer, depth)
+    _, _, out = run((state, color, gbuffer, then))
+    assert np.all(np.isfinite(out.score))
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 1000),
+    levels=st.sampled_from([1, 3, 1000]),
+    allowed=st.integers(-1, 110),
+)
+def test_the_budget_goes_to_the_highest_scores_then_to_the_first_pixels(
+    seed, levels, allowed
+):
+    rng = np.random.default_rng(seed)
+    size = (9, 11)
+    method = rng.integers(0, 3, size)
+    score = (rng.integers(0, levels, size) / levels).astype(np.float32)
+    zeros = jnp.zeros(size, jnp.float32)
+    wanted = types.Segmentation(
+        mask=jnp.asarray(method | (3 << 16), jnp.uint32),
+        why=jnp.zeros(size, jnp.uint8),
+        score=jnp.asarray(score),
+        luminance=zeros,
+        depth=zeros,
+    )
+    out, overflow = segmentation.apply_budget(wanted, jnp.int32(allowed))
+    got, hold = segmentation.unpack_mask(out.mask)
+    keeps = oracle.budget(method, score, allowed)
+    np.testing.assert_array_equal(np.asarray(got) == types.METHOD_ATAA, keeps)
+    loses = (method == types.METHOD_ATAA) & ~keeps
+    np.testing.assert_array_equal(np.asarray(out.why) == types.WHY_OVER_BUDGET, loses)
+    assert np.all(np.asarray(got)[loses] == types.METHOD_TAA)
+    assert np.all(np.asarray(hold) == 3)
+    assert int(overflow) == loses.sum()
+
+
+@settings(max_examples=30)
+@given(
+    size=st.sampled_from([(1, 1), (7, 9), (4, 16), (33, 31)]),
+    density=st.sampled_from([0.0, 0.1, 0.9, 1.0]),
+    seed=st.integers(0, 100),
+)
+def test_compaction_lists_the_pixels_in_row_major_order(size, density, seed):
+    mask = np.random.default_rng(seed).random(size) < density
+    indices, count = compact.compact(jnp.asarray(mask))
+    expected = np.flatnonzero(mask)
+    assert int(count) == len(expected)
+    np.testing.assert_array_equal(indices[: len(expected)], expected)
+    assert np.all(np.asarray(indices)[len(expected) :] == mask.size)
+
+
+def test_jit_equals_eager():
+    inputs = random_frame((5, 6), seed=2)
+    params = segmentation.default_params()
+    jitted = segmentation.segment(*inputs, params, jnp.int32(5), config=CONFIG)
+    with jax.disable_jit():
+        eager = segmentation.segment(*inputs, params, jnp.int32(5), config=CONFIG)
+    # Compiled code contracts a·b + c to one rounding where eager takes two.
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), jitted, eager
+    )
+
+
+def test_parameters_do_not_compile_anew():
+    inputs = random_frame((5, 6), seed=2)
+    run(inputs)
+    before = segmentation.segmentation._cache_size()
+    run(inputs, threshold=0.7, hold=9)
+    assert segmentation.segmentation._cache_size() == before
+    run(inputs, replace(CONFIG, use_depth=False))
+    assert segmentation.segmentation._cache_size() == before + 1
