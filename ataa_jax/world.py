@@ -122,6 +122,23 @@ def sequence(world: World, path: paths.CameraPath, size: tuple[int, int]) -> Seq
     return Sequence(world, path, size, camera, world.focus(camera))
 
 
+def shot(
+    world: World,
+    path: str | paths.CameraPath = "walk",
+    size: tuple[int, int] = (360, 640),
+    *,
+    motion: str | float | None = None,
+) -> Sequence:
+    """Binds a world to a camera path by its name; see `paths.load`.
+
+    Raises:
+        InputError: no such path or camera.
+    """
+    if isinstance(path, str):
+        path = paths.load(path, motion)
+    return sequence(world, path, size)
+
+
 def load(
     path: str | Path, *, camera: str | None = None, backend: str = "auto"
 ) -> World:
