@@ -39,6 +39,7 @@ def garden_house() -> SceneSource:
         *furniture.parts(),
         *garden.parts(),
         *wires.parts(),
+        *boat.far_sail((18.5, -0.4, -62.0)),
         *boat.parts((9.85, -0.4, -4.0), 192.0, garden.bollards()),
         *moving.parts(),
     ]

@@ -1,7 +1,7 @@
 """The sailing boat at the jetty: a lofted hull, spars, furled sails and rigging.
 
 The boat's own space: +z is forward, +y up, y = 0 the water line; `parts` turns and
-moves it to its berth. Every rope is 6 to 10 mm thick: thinner than a pixel from
+moves it to its berth. The rigging is 6 to 10 mm thick: thinner than a pixel from
 anywhere but the jetty.
 """
 
@@ -40,30 +40,20 @@ def parts(berth: Point, heading: float, bollards: list[Point]) -> list[Part]:
     return [*placed, Part("rope moorings", merge(ropes), "rope")]
 
 
-def _stations(count: int) -> np.ndarray:
-    """Returns positions along the hull, 0 at the stern and 1 at the bow."""
-    return np.linspace(0.0, 1.0, count)
-
-
 def _half_beam(s: np.ndarray) -> np.ndarray:
-    return (
-        1.18
-        * np.sqrt(np.clip(1.0 - ((s - 0.42) / 0.585) ** 2, 0.0, 1.0)) ** 1.25
-        * (1.0 + 0.0 * s)
-        + 0.02
-    )
+    """Returns half of the width at s, 0 at the stern and 1 at the bow."""
+    return 0.02 + 1.18 * np.clip(1.0 - ((s - 0.42) / 0.585) ** 2, 0.0, 1.0) ** 0.625
 
 
 def _sheer(s: np.ndarray) -> np.ndarray:
+    """Returns the height of the hull's upper edge."""
     return 0.78 + 0.55 * (s - 0.32) ** 2 + 0.28 * s**3
 
 
-def _depth(s: np.ndarray) -> np.ndarray:
-    return (
-        -0.62 * np.sin(np.pi * np.clip(0.12 + 0.86 * s, 0, 1)) ** 0.7
-        + 0.30 * s**6
-        + 0.1
-    )
+def _keel(s: np.ndarray) -> np.ndarray:
+    """Returns the height of the hull's lowest line, which rises to the bow."""
+    belly = np.sin(np.pi * np.clip(0.12 + 0.86 * s, 0.0, 1.0)) ** 0.7
+    return 0.1 - 0.62 * belly + 0.30 * s**6
 
 
 def _along(s: np.ndarray) -> np.ndarray:
@@ -75,7 +65,7 @@ def _section(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     a = np.abs(t)
     width = np.sin(0.5 * np.pi * a) ** 0.72
     rise = a**2.6
-    half, top, keel = _half_beam(s), _sheer(s), _depth(s)
+    half, top, keel = _half_beam(s), _sheer(s), _keel(s)
     x = np.sign(t) * half * width
     y = keel + (top - keel) * rise
     rake = 0.42 * s**4 * rise - 0.28 * (1.0 - s) ** 6 * rise
@@ -83,21 +73,16 @@ def _section(t: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def _hull() -> list[Part]:
-    s = _stations(41)
+    s = np.linspace(0.0, 1.0, 41)
     bands = {"hull": (0.72, 1.0), "gelcoat": (0.66, 0.72), "boot top": (0.0, 0.66)}
     found = []
     for material, (inner, outer) in bands.items():
         sides = []
         for sign in (-1.0, 1.0):
             t = sign * np.linspace(inner, outer, 11)
-            grid = _section(t[None, :] + 0 * s[:, None], s[:, None] + 0 * t[None, :])
-            sheet = shapes.sheet(grid)
-            sides.append(sheet if sign < 0 else shapes.flipped(sheet))
-        found.append(
-            Part(
-                f"boat {material}", merge([shapes.flipped(x) for x in sides]), material
-            )
-        )
+            side = shapes.sheet(_section(*np.broadcast_arrays(t[None, :], s[:, None])))
+            sides.append(shapes.facing(side, (sign, 0, 0)))
+        found.append(Part(f"boat {material}", merge(sides), material))
     edge = _section(np.linspace(-1.0, 1.0, 33), np.zeros(33))
     centre = (edge[0] + edge[-1]) / 2.0
     fan = np.stack([np.broadcast_to(centre, edge.shape), edge])
@@ -122,7 +107,7 @@ def _hull() -> list[Part]:
 
 
 def _deck() -> list[Part]:
-    s, across = _stations(41), np.linspace(-1.0, 1.0, 9)
+    s, across = np.linspace(0.0, 1.0, 41), np.linspace(-1.0, 1.0, 9)
     edge = _section(np.ones_like(s), s)
     x = across[None, :] * (edge[:, None, 0] - 0.02)
     y = edge[:, None, 1] - 0.06 + 0.07 * (1.0 - across[None, :] ** 2)
@@ -206,20 +191,13 @@ def _stanchion_feet(side: float) -> np.ndarray:
 
 def _sails() -> list[Part]:
     s = np.linspace(0.0, 1.0, 40)
-    path = (
-        np.array([0.0, 1.80, 0.6]) * (1 - s)[:, None]
-        + np.array([0.0, 1.70, -2.6]) * s[:, None]
-    )
+    path = sagging((0.0, 1.80, 0.6), (0.0, 1.70, -2.6), 0.0, 40)
     path[:, 1] += 0.02 * np.sin(s * 40.0)
-    bulk = (
-        (0.135 - 0.06 * s)
-        * (1.0 + 0.05 * np.sin(s * 57.0) + 0.05 * np.sin(s * 23.0))
-        * np.minimum(1.0, 0.25 + 12 * np.minimum(s, 1 - s))
-    )
+    bulk = (0.135 - 0.06 * s) * np.minimum(1.0, 0.25 + 12.0 * np.minimum(s, 1.0 - s))
+    bulk = bulk * (1.0 + 0.05 * np.sin(s * 57.0) + 0.05 * np.sin(s * 23.0))
     furled = tube(path, bulk, 12)
     stay = np.linspace(0.0, 1.0, 30)
-    foot, head = np.array([0.0, 1.55, 4.75]), np.array([0.0, 7.35, 0.92])
-    roll = foot * (1 - stay)[:, None] + head * stay[:, None]
+    roll = sagging((0.0, 1.55, 4.75), (0.0, 7.35, 0.92), 0.0, 30)
     jib = tube(roll, 0.015 + 0.045 * np.sin(np.pi * (0.25 + 0.72 * stay)), 10)
     ties = []
     for k in range(7):
@@ -284,13 +262,39 @@ def _rigging() -> list[Part]:
     rope(running, top, _BOOM_END, 0.004, 0.15)  # topping lift
     rope(running, (0.05, 7.7, 0.72), (0.12, 1.0, 0.6), 0.0035, 0.05)  # main halyard
     rope(running, (-0.05, 7.3, 0.78), (-0.15, 1.0, 0.7), 0.0035, 0.08)  # jib halyard
-    rope(
-        running, (0.72 * 0.8, 5.1, 0.72), (0.95, 1.0, 0.45), 0.003, 0.04
-    )  # flag halyard
+    # flag halyard
+    rope(running, (0.58, 5.1, 0.72), (0.95, 1.0, 0.45), 0.003, 0.04)
     for x in (-0.05, 0.05):  # main sheet
         rope(running, (x, 1.6, -2.6), (x * 4, 1.1, -2.92), 0.005)
     return [
         Part("rope standing rigging", merge(stays), "cable"),
         Part("rope running rigging", merge(running), "rope"),
         Part("rope ratlines", merge(ratlines), "rope"),
+    ]
+
+
+def far_sail(water: Point) -> list[Part]:
+    """Returns a small boat under sail, far away."""
+    s, t = np.linspace(0.0, 1.0, 9)[:, None], np.linspace(0.0, 1.0, 9)[None, :]
+    sails = []
+    for luff, leech, height in ((0.0, -2.6, 6.2), (1.9, 0.3, 4.9)):
+        z = (luff + (leech - luff) * t) * (1.0 - s)
+        belly = 0.45 * np.sin(np.pi * t) * np.sqrt(1.0 - s)
+        y = np.broadcast_to(0.9 + height * s, z.shape)
+        sails.append(shapes.sheet(np.stack([belly, y, z], axis=-1)))
+    angle = np.linspace(-np.pi, np.pi, 25)[None, :]
+    rise = np.linspace(0.0, 1.0, 4)[:, None]
+    x = (0.55 + 0.25 * rise) * np.sin(angle)
+    y, z = np.broadcast_arrays(0.55 * rise - 0.05, 2.3 * np.cos(angle))
+    hull = shapes.sheet(np.stack([x, y, z], axis=-1), closed=True)
+    if np.sum(hull.normal[:, 0] * hull.position[:, 0]) < 0.0:
+        hull = shapes.flipped(hull)
+    parts = (
+        ("far sails", merge(sails), "sail"),
+        ("far hull", hull, "gelcoat"),
+        ("rope far mast", line((0.0, 0.3, 0.0), (0.0, 7.2, 0.0), 0.05, 8), "varnish"),
+    )
+    return [
+        Part(name, shape.turned(-50.0).moved(water), material)
+        for name, shape, material in parts
     ]

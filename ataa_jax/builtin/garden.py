@@ -1,4 +1,4 @@
-"""The garden: ground, water, path, fences, jetty, poles and wires, and the distance."""
+"""The garden: ground, water, path, fences, jetty, what grows, and the distance."""
 
 import numpy as np
 
@@ -63,17 +63,16 @@ def _land() -> list[Part]:
     return [Part("lawn", lawn, "lawn"), Part("water", water, "water")]
 
 
-def _bezier(points: list[tuple[float, float]], count: int) -> np.ndarray:
-    """Returns points (count, 2) of a cubic Bézier curve."""
-    a, b, c, d = (np.array(p, float) for p in points)
-    t = np.linspace(0.0, 1.0, count)[:, None]
-    return (
-        a * (1 - t) ** 3 + 3 * b * t * (1 - t) ** 2 + 3 * c * t**2 * (1 - t) + d * t**3
-    )
+def _path() -> np.ndarray:
+    """Returns x and z (70, 2) of the gravel path's middle, a cubic Bézier curve."""
+    a, b, c, d = np.array([(3.4, 24.0), (2.4, 12.0), (2.2, 8.0), (-0.8, 1.8)])
+    t = np.linspace(0.0, 1.0, 70)[:, None]
+    s = 1.0 - t
+    return a * s**3 + 3.0 * b * t * s**2 + 3.0 * c * t**2 * s + d * t**3
 
 
 def _paths() -> list[Part]:
-    curve = _bezier([(3.4, 24.0), (2.4, 12.0), (2.2, 8.0), (-0.8, 1.8)], 70)
+    curve = _path()
     ahead = np.gradient(curve, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     side = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
@@ -93,12 +92,11 @@ def _paths() -> list[Part]:
         edges.append(tube(edge, 0.03, 6))
     slabs = []
     random = np.random.default_rng(21)
-    for k, t in enumerate(np.linspace(0.06, 0.96, 9)):
+    for t in np.linspace(0.06, 0.96, 9):
         px, pz = np.array([0.7, 3.1]) * (1 - t) + np.array([4.9, -1.9]) * t
         pz += 0.25 * np.sin(5 * t)
-        slab = box((-0.36, -0.08, -0.26), (0.36, 0.035, 0.26)).turned(
-            -40.0 + random.normal(0, 6) + 7 * k % 11
-        )
+        slab = box((-0.36, -0.08, -0.26), (0.36, 0.035, 0.26))
+        slab = slab.turned(-36.0 + random.normal(0.0, 6.0))
         slabs.append(slab.moved((px, float(ground(px, pz)), pz)))
     return [
         Part("gravel path", strip, "gravel"),
@@ -113,12 +111,9 @@ def _pebble(random: np.random.Generator) -> Shape:
     p, t = np.meshgrid(polar, turn, indexing="ij")
     ball = np.stack([np.sin(p) * np.cos(t), np.cos(p), np.sin(p) * np.sin(t)], axis=-1)
     knobs = random.normal(0, 1, (4, 3))
-    swell = 1.0 + 0.12 * np.sin(1.7 * (ball @ knobs.T) + random.uniform(0, 6, 4)).sum(
-        -1
-    )
-    ball = (
-        ball * swell[..., None] * random.uniform((0.4, 0.22, 0.35), (0.55, 0.36, 0.5))
-    )
+    swell = np.sin(1.7 * (ball @ knobs.T) + random.uniform(0, 6, 4)).sum(axis=-1)
+    half = random.uniform((0.4, 0.22, 0.35), (0.55, 0.36, 0.5))
+    ball = ball * (1.0 + 0.12 * swell)[..., None] * half
     ball[:, -1] = ball[:, 0]
     return shapes.outward(shapes.sheet(ball, closed=True))
 
@@ -126,16 +121,30 @@ def _pebble(random: np.random.Generator) -> Shape:
 def _shore() -> list[Part]:
     random = np.random.default_rng(22)
     stones = []
-    for z in np.arange(-16.0, 16.0, 0.42):
+    for z in np.arange(-16.0, 16.0, 0.3):
         z0 = z + random.normal(0, 0.08)
         x = float(bank(z0)) - 0.12 + random.normal(0, 0.12)
-        size = random.uniform(0.5, 1.1)
+        size = random.uniform(0.35, 0.9)
         stone = _pebble(random)
         stone = stone._replace(position=stone.position * size).turned(
             random.uniform(0, 360)
         )
         stones.append(stone.moved((x, float(ground(x, z0)) + 0.03, z0)))
-    return [Part("shore stones", merge(stones), "stone")]
+    pads = []
+    disc = shapes.lathe(
+        [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.96, 0.03), (0.0, 0.02)], 16
+    )
+    for _ in range(70):
+        z0 = random.choice((-9.0, 4.2, 9.0)) + random.normal(0.0, 1.1)
+        x = float(bank(z0)) + 1.0 + abs(random.normal(0.0, 0.9))
+        pad = disc._replace(
+            position=disc.position * (1.0, 0.4, 1.0) * random.uniform(0.1, 0.24)
+        )
+        pads.append(pad.moved((x, _WATER - 0.002, z0)))
+    return [
+        Part("shore stones", merge(stones), "stone"),
+        Part("water lilies", merge(pads), "lily"),
+    ]
 
 
 def _fence(
@@ -240,41 +249,15 @@ def _growth() -> list[Part]:
         ]
     )
     spots = [
-        np.stack(
-            [
-                random.uniform(-10.5, -10.1, 90),
-                np.zeros(90),
-                random.uniform(-2.8, 11, 90),
-            ],
-            -1,
-        ),
-        np.stack(
-            [
-                random.uniform(1.8, 5.0, 40),
-                np.zeros(40),
-                random.uniform(-5.1, -4.6, 40),
-            ],
-            -1,
-        ),
-        np.stack(
-            [random.uniform(2.4, 2.8, 30), np.zeros(30), random.uniform(-4.5, 0.6, 30)],
-            -1,
-        ),
-        random.uniform((-10.0, 0, 2.2), (7.0, 0, 12.0), (60, 3)),
+        _strewn(random, (-10.5, -10.1), (-2.8, 11.0), 90),  # along the west fence
+        _strewn(random, (1.8, 5.0), (-5.1, -4.6), 40),  # and the east fence
+        _strewn(random, (2.4, 2.8), (-4.5, 0.6), 30),  # beside the terrace
+        _strewn(random, (-10.0, 7.0), (2.2, 12.0), 60),  # anywhere
     ]
     foot = np.concatenate(spots)
     foot = foot[(foot[:, 0] < bank(foot[:, 2]) - 0.3) & ~_on_path(foot)]
-    foot[:, 1] = ground(foot[:, 0], foot[:, 2]) - 0.03
     tufts = plants.upright(foot, random.uniform(0.16, 0.42, len(foot)), random)
-    bed = np.stack(
-        [
-            random.uniform(-9.5, -2.7, 190),
-            np.zeros(190),
-            random.uniform(1.15, 1.75, 190),
-        ],
-        -1,
-    )
-    bed[:, 1] = ground(bed[:, 0], bed[:, 2]) - 0.03
+    bed = _strewn(random, (-9.5, -2.7), (1.15, 1.75), 190)
     flowers = plants.upright(bed[:110], random.uniform(0.35, 0.6, 110), random)
     between = plants.upright(bed[110:], random.uniform(0.35, 0.7, 80), random)
     soil = box((-9.6, -0.2, 1.02), (-2.6, 0.06, 1.85))
@@ -286,8 +269,20 @@ def _growth() -> list[Part]:
     ]
 
 
+def _strewn(
+    random: np.random.Generator,
+    x: tuple[float, float],
+    z: tuple[float, float],
+    count: int,
+) -> np.ndarray:
+    """Returns points (count, 3) just under the ground of a rectangle."""
+    px, pz = random.uniform(*x, count), random.uniform(*z, count)
+    return np.stack([px, ground(px, pz) - 0.03, pz], axis=-1)
+
+
 def _on_path(foot: np.ndarray) -> np.ndarray:
-    curve = _bezier([(3.4, 24.0), (2.4, 12.0), (2.2, 8.0), (-0.8, 1.8)], 70)
+    """Returns which of the points lie on the gravel path or its edge."""
+    curve = _path()
     gap = np.linalg.norm(foot[:, None, [0, 2]] - curve[None], axis=-1).min(axis=1)
     return gap < 1.15
 
@@ -299,7 +294,7 @@ def _distance() -> list[Part]:
     trees = []
     for radius, height, share in ((105.0, 8.0, 0.0), (140.0, 12.0, 0.37)):
         wave = radius * (1.0 + 0.07 * np.sin(5 * turn + share * 9))
-        low = ring * wave[:, None] - (0.0, 1.0, 0.0)
+        low = ring * wave[:, None] - np.array([0.0, 1.0, 0.0])
         rows = np.stack([low + np.array([0.0, height, 0.0]), low])
         u = turn / (2 * np.pi) * round(2 * np.pi * radius / (4 * height)) + share
         uv = np.stack(np.broadcast_arrays(u[None], np.array([0.04, 0.98])[:, None]), -1)

@@ -294,14 +294,13 @@ def _awning() -> list[Part]:
     ]
     scallop = 0.16 + 0.07 * np.abs(np.sin((x - x[0]) * np.pi / 0.32))
     valance = np.stack([rows[-1], rows[-1] - np.stack([0 * x, scallop, 0 * x], -1)])
-    stripes = [shapes.sheet(np.stack(rows)), shapes.sheet(valance)]
-    cloth = merge([s._replace(uv=s.uv[:, ::1] / (0.96, 1.0)) for s in stripes])
+    cloth = merge([shapes.sheet(np.stack(rows)), shapes.sheet(valance)])
     arms = [
         line((x, 2.98, -2.1), (x, 2.52, -0.28), 0.014) for x in (-6.08, -4.5, -2.92)
     ]
     arms.append(line((-6.12, 2.5, -0.25), (-2.88, 2.5, -0.25), 0.02))
     return [
-        Part("awning", cloth, "awning"),
+        Part("awning", cloth.tiled(0.96, 1.0), "awning"),
         Part("awning arms", merge(arms), "steel"),
     ]
 
@@ -311,18 +310,8 @@ def _fittings() -> list[Part]:
     lamp_body = box((-0.38, 1.95, _FRONT), (-0.22, 2.35, _FRONT + 0.1))
     glow = box((-0.36, 2.0, _FRONT + 0.1), (-0.24, 2.3, _FRONT + 0.13))
     strips = [box((-4.2, 6.075, -3.4), (-1.0, 6.085, -3.34))]
-    pipe = tube(
-        np.array(
-            [
-                (-9.75, 3.05, -2.5),
-                (-9.75, 2.9, -2.6),
-                (-9.7, 2.7, -2.94),
-                (-9.7, 0.0, -2.94),
-            ]
-        ),
-        0.04,
-        10,
-    )
+    bends = [(-9.75, 3.05, -2.5), (-9.75, 2.9, -2.6), (-9.7, 2.7, -2.94)]
+    pipe = tube(np.array([*bends, (-9.7, 0.0, -2.94)]), 0.04, 10)
     mast = (-1.6, 6.3, -7.6)
     rods = [line(mast, (mast[0], 8.5, mast[2]), 0.016)]
     for k in range(7):
