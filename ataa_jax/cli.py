@@ -432,14 +432,12 @@ def _notes(console: Console, notes: list[str]) -> None:
 
 
 @app.callback(invoke_without_command=True)
-def _version(
-    ctx: typer.Context,
+def _options(
     version: Annotated[bool, typer.Option("--version", help="Show it.")] = False,
 ) -> None:
     if version:
         typer.echo(metadata.version("ataa-jax"))
-    elif ctx.invoked_subcommand is None:
-        typer.echo(ctx.get_help())
+        raise typer.Exit
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -452,7 +450,7 @@ def main(arguments: list[str] | None = None) -> int:
         Exit code: 0, 2 for a user's mistake, 130 when interrupted, 1 for a failure of
         the program itself.
     """
-    given = sys.argv[1:] if arguments is None else arguments
+    given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     code, message = FAILED, ""
     try:
         result = app(args=given, prog_name="ataa", standalone_mode=False)

@@ -121,7 +121,8 @@ def test_run_takes_every_kind_of_method(scene, tmp_path, method):
     out = tmp_path / "out"
     arguments = ("--size", "32x18", "--frames", "1", "--method", method)
     assert ataa("run", scene, *arguments, "--out", out) == 0
-    assert Image.open(out / "frames/0000.png").size == (32, 18)
+    with Image.open(out / "frames/0000.png") as image:
+        assert image.size == (32, 18)
     assert not (out / "mask").exists()
 
 
