@@ -57,7 +57,7 @@ def _leaf(
     color: np.ndarray,
 ) -> None:
     """Draws one pointed leaf with a lighter half and a midrib."""
-    s = np.linspace(0.0, 1.0, 7)[:, None]
+    s = np.linspace(0.0, 1.0, 6)[:, None]
     along = tip - base
     bulge = width * np.sin(np.pi * s**0.8) * (1.0 - 0.25 * s)
     spine = base + along * s
@@ -113,7 +113,7 @@ def tuft(dark: Color, light: Color, seed: int, count: int = 44) -> np.ndarray:
     random = np.random.default_rng(seed)
     canvas = _Canvas(256, 256)
     d, c = np.array(dark), np.array(light)
-    s = np.linspace(0.0, 1.0, 9)
+    s = np.linspace(0.0, 1.0, 6)
     for _ in range(count):
         x = random.normal(0.5, 0.13)
         lean, height = random.normal(0, 0.2), random.uniform(0.35, 0.95)
