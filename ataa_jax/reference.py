@@ -205,7 +205,8 @@ def _content_key(
 def _read(file: Path, size: tuple[int, int]) -> Supersampled | None:
     """Returns a cached image, or None where there is none or it is damaged."""
     try:
-        with np.load(file, allow_pickle=False) as data:
+        # Opened here: numpy leaves a damaged file open.
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             color, thin = data["color"], data["thin"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

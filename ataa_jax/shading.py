@@ -105,13 +105,15 @@ def radiance(
     color, shadow_rays = _direct(
         scene.lights, tracer, world_from_group, surface, material, view, tile, config
     )
-    if material.emissive is not None:
-        color = color + material.emissive
     if config.sky:
         color = color + _ambient(scene.sky, material, view)
-        color = vector.select(surface.hit, color, sky_radiance(scene.sky, -view))
-    else:
-        color = vector.select(surface.hit, color, 0.0)
+    if material.emissive is not None:
+        # Materialized first: fused, an emission of 0 would still change a last bit.
+        color = vector.materialize(color) + material.emissive
+    background: Vec3 | float = 0.0
+    if config.sky:
+        background = sky_radiance(scene.sky, -view)
+    color = vector.select(surface.hit, color, background)
     return Shaded(
         color=vector.materialize(color), surface=surface, shadow_rays=shadow_rays
     )
