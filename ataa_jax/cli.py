@@ -343,12 +343,16 @@ def _prepare(
     from ataa_jax import world as worlds
 
     path = paths.load(camera or "walk", motion)
+    budget = options.get("budget", 0.5)
+    if not budget >= 0.0:
+        raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
+    table = parameters.read(params) if params is not None else {}
     report("loading the scene", 0, 1)
     loaded = worlds.load(scene, camera=path.camera)
-    budget = options.get("budget", 0.5)
-    _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
-    if params is not None:
-        options["params"] = parameters.load(params, numbers)
+    if table:
+        _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
+        where = f"parameter file {params}"
+        options["params"] = parameters.override(numbers, table, where)
     return worlds.sequence(loaded, path, extent), compare.Options(**options)
 
 

@@ -34,12 +34,19 @@ def load(file: Path, params: Params) -> Params:
         params: the preset's.
 
     Raises:
-        InputError: the file cannot be read, is not TOML, names an unknown parameter,
-            or holds something else than finite numbers of the parameter's shape
-            (`budget` may be inf).
+        InputError: see `read` and `override`.
+    """
+    return override(params, read(file), f"parameter file {file}")
+
+
+def read(file: Path) -> dict[str, Any]:
+    """Returns a file's tables, not yet checked against any parameters.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML.
     """
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
             f"parameter file {file} cannot be read ({error.strerror}); give the name "
@@ -47,7 +54,21 @@ def load(file: Path, params: Params) -> Params:
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"parameter file {file} is not valid TOML: {error}") from None
-    return _override(params, table, f"parameter file {file}", "")
+
+
+def override(params: Params, table: dict[str, Any], where: str) -> Params:
+    """Returns parameters with a table's numbers in place of the given ones.
+
+    Args:
+        params: the preset's.
+        table: stages, and in them fields; what it does not name stays.
+        where: named in errors.
+
+    Raises:
+        InputError: an unknown name, or something else than finite numbers of the
+            parameter's shape (`budget` may be inf).
+    """
+    return _override(params, table, where, "")
 
 
 def save(params: Params, file: Path) -> None:
@@ -71,7 +92,7 @@ def _plain(array: np.ndarray) -> Any:
         return [_plain(item) for item in array]
     if np.issubdtype(array.dtype, np.floating):
         # The shortest decimals that read back as the same float32.
-        return float(np.format_float_positional(array[()], unique=True))
+        return float(str(array))
     return array.item()
 
 

@@ -1,6 +1,7 @@
 """The command line: what it writes, what it says, and how it refuses."""
 
 import csv
+import functools
 import subprocess
 import sys
 import tomllib
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ataa_jax import cli, paths
+from ataa_jax import cli, paths, world
 from ataa_jax.compare import METHODS
 
 DATA = Path(__file__).parents[1] / "data"
@@ -41,6 +42,15 @@ def cache(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("ATAA_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
+@pytest.fixture(autouse=True, scope="module")
+def one_world():
+    # Every load builds a tracer of its own, for which all stages compile anew.
+    load = world.load
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(world, "load", functools.cache(load))
+        yield
+
+
 def ataa(*arguments: object) -> int:
     return cli.main([str(argument) for argument in arguments])
 
@@ -61,7 +71,7 @@ def names(folder: Path) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def film(scene, tmp_path_factory) -> Path:
+def film(scene, one_world, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("film") / "out"
     assert ataa("run", scene, *TINY, "--exr", "--out", out) == 0
     return out
@@ -180,8 +190,8 @@ def test_info_tells_what_is_there_and_why(scene, capsys):
         (("run", "SCENE", "--lead-in", "-1"), "--lead-in must be at least 0"),
         (("run", "SCENE", "--method", "msaa"), "unknown method 'msaa'; known are none"),
         (("run", "SCENE", "--preset", "ue5"), "unknown preset 'ue5'"),
-        (("run", "SCENE", "--budget", "-1"), "budget must be at least 0"),
-        (("run", "SCENE", "--budget", "nan"), "budget must be at least 0"),
+        (("run", "SCENE", "--budget", "-1"), "--budget must be at least 0"),
+        (("run", "SCENE", "--budget", "nan"), "--budget must be at least 0"),
         (("run", "SCENE", "--motion", "fast"), "motion 'fast'"),
         (("run", "SCENE", "--camera", "north"), "no camera 'north'"),
         (("run", "SCENE", "--camera", "none.toml"), "none.toml cannot be read"),

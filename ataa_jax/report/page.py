@@ -79,7 +79,7 @@ def render(comparison: Comparison, limit_bytes: int = LIMIT_BYTES) -> str:
 
 
 def _part(name: str) -> str:
-    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+    return (resources.files("ataa_jax.report") / name).read_text(encoding="utf-8")
 
 
 def _order(comparison: Comparison) -> list[str]:

@@ -3,11 +3,13 @@
 import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ataa_jax import files
 from ataa_jax.compare import REFERENCE, Comparison
@@ -22,7 +24,7 @@ from ataa_jax.report.palette import (
 )
 from ataa_jax.report.strips import best_adaptive, label
 
-_STYLE = {
+_STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.spines.top": False,
@@ -64,12 +66,10 @@ def render(
         figure = Figure(figsize=(6.4, 3.8), dpi=150, layout="constrained")
         draw(figure.subplots(), comparison)
         buffer = io.BytesIO()
-        nameless = {"Software": None} if suffix == "png" else {"Date": None}
-        figure.savefig(
-            buffer, format=suffix, metadata=nameless | {"Creator": None}
-            if suffix == "svg"
-            else nameless,
-        )  # fmt: skip
+        nameless: dict[str, None] = (
+            {"Software": None} if suffix == "png" else {"Date": None, "Creator": None}
+        )
+        figure.savefig(buffer, format=suffix, metadata=nameless)
     return buffer.getvalue()
 
 
@@ -92,7 +92,7 @@ def ssim_over_frames(axes: Axes, comparison: Comparison) -> None:
         )
     axes.set_xlabel("frame")
     axes.set_ylabel("SSIM against the reference")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(fontsize=7.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
@@ -116,7 +116,7 @@ def shares_over_frames(axes: Axes, comparison: Comparison) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("frame")
     axes.set_ylabel("share of the pixels, %")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_title(f"{label(name or '')}: all other pixels are TAA", fontsize=9)
     axes.legend()
 
