@@ -52,7 +52,7 @@ def _ranks(flat: Bool[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, ""]]:
     words = jnp.sum(jnp.where(bits, one, jnp.uint32(0)), axis=1, dtype=jnp.uint32)
     sizes = jax.lax.population_count(words).astype(jnp.int32)
     ends = jnp.cumsum(sizes, dtype=jnp.int32)
-    words, starts = jax.lax.optimization_barrier((words, ends - sizes))
+    starts = ends - sizes
     below = jax.lax.population_count(words[:, None] & (one - jnp.uint32(1)))
     rank = starts[:, None] + below.astype(jnp.int32)
     return rank.reshape(-1)[:n], ends[-1]

@@ -172,7 +172,9 @@ def segmentation(
         is at least the threshold's: held pixels compete for the budget as if they
         just fired. FXAA's pixels have score 0.
     """
-    row, column = window.history_position(gbuffer.motion)
+    row, column = window.history_position(
+        gbuffer.motion[..., 0], gbuffer.motion[..., 1]
+    )
     previous = window.nearest_index(row, column)
     new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
     change, length = _motion_change(state, gbuffer, previous)

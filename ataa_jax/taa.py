@@ -150,36 +150,38 @@ def taa(
         Blended and reprojected colour, linear. A pixel that did not move, or moved by
         whole pixels, reads its texel of the history bit by bit.
     """
-    current_linear = vector.unstack(color)
-    current = _to_average(current_linear, config)
+    linear = colors.sanitize_vec(vector.unstack(color))
+    current = window.materialize(_to_average(linear, config))
     bordered = Vec3(*(window.border(c) for c in (current.x, current.y, current.z)))
 
-    motion, motion_valid = _motion(gbuffer, config)
-    row, column = window.materialize(window.history_position(motion))
+    motion_x, motion_y, motion_valid = _motion(gbuffer, config)
+    row, column = window.history_position(motion_x, motion_y)
+    row, column = window.materialize((row, column))
     valid = history.valid & motion_valid & window.inside(row, column)
 
-    reprojected, exact = _read_history(history.color, row, column, config)
-    reprojected = vector.select(valid, reprojected, current)
+    filtered, exact = _read_history(history.color, row, column, config)
+    reprojected = vector.select(valid, filtered, current)
 
-    sample = _filter_current(bordered, jitter, config)
-    alone = sample
+    alone = sample = _filter_current(bordered, jitter, config)
     rectified, sample = _rectify(reprojected, sample, bordered, params, config)
     nearest = window.nearest_index(row, column)
-    frames = jnp.minimum(
-        _finite(window.read(history.count, nearest)), params.count_limit
-    )
-    weight = _current_weight(motion, frames, params, config)
-    blended = _blend(rectified, sample, weight, config)
+    frames = _finite(window.read(history.count, nearest))
+    frames = jnp.minimum(frames, params.count_limit)
+    speed = jnp.sqrt(motion_x * motion_x + motion_y * motion_y)
+    weight = _current_weight(speed, frames, params, config)
+    blended = _to_linear(_blend(rectified, sample, weight, config), config)
 
     # Where nothing was interpolated the linear values themselves are handed on, so
     # that no round trip through the averaging space costs their last bits.
-    clean = colors.sanitize_vec(current_linear)
-    alone = clean if config.current_filter == "none" else _to_linear(alone, config)
+    alone = linear if config.current_filter == "none" else _to_linear(alone, config)
     whole = (row == jnp.round(row)) & (column == jnp.round(column))
-    handed_on = vector.select(whole, exact, _to_linear(reprojected, config))
+    handed_on = vector.select(whole, exact, _to_linear(filtered, config))
+    blended, handed_on = window.materialize(
+        (vector.select(valid, blended, alone), vector.select(valid, handed_on, linear))
+    )
     return TaaOutput(
-        color=vector.stack(vector.select(valid, _to_linear(blended, config), alone)),
-        reprojected=vector.stack(vector.select(valid, handed_on, clean)),
+        color=vector.stack(blended),
+        reprojected=vector.stack(handed_on),
         count=jnp.where(valid, frames + 1.0, 1.0),
         valid=valid,
         previous_px=jnp.stack([row + 0.5, column + 0.5], axis=-1),
@@ -204,8 +206,8 @@ def _finite(value: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 def _motion(
     gbuffer: GBuffer, config: Config
-) -> tuple[Float[Array, "h w 2"], Bool[Array, "h w"]]:
-    """Returns the motion that reprojects each pixel, and whether it has a previous one.
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Bool[Array, "h w"]]:
+    """Returns (x, y, valid) of the motion that reprojects each pixel.
 
     Nearest depth: among the 3×3 with a valid motion vector, the nearest surface; a
     neighbour must be nearer than the pixel itself to lead it. Of equally near ones the
@@ -217,7 +219,7 @@ def _motion(
     own_valid = gbuffer.motion_valid & finite
     own_x, own_y = jnp.where(finite, own_x, 0.0), jnp.where(finite, own_y, 0.0)
     if config.motion == "pixel":
-        return jnp.stack([own_x, own_y], axis=-1), own_valid
+        return own_x, own_y, own_valid
     candidate = jnp.where(own_valid, gbuffer.depth, jnp.inf)
     planes = tuple(window.border(p) for p in (candidate, own_x, own_y))
 
@@ -235,8 +237,7 @@ def _motion(
     )
     depth, x, y = nearer(nearer(own, above), below)
     led = depth < gbuffer.depth
-    motion = jnp.stack([jnp.where(led, x, own_x), jnp.where(led, y, own_y)], axis=-1)
-    return motion, own_valid | led
+    return jnp.where(led, x, own_x), jnp.where(led, y, own_y), own_valid | led
 
 
 def _read_history(
@@ -252,10 +253,7 @@ def _read_history(
         falls on). All weights but one are exactly 0 at a pixel centre.
     """
     height, width = row.shape
-    image = colors.sanitize(image)
-    mapped = image
-    if config.weighting == "tonemap":
-        mapped = vector.stack(colors.tonemap_vec(vector.unstack(image)))
+    mapped = vector.stack(_to_average(vector.unstack(image), config))
     # Texels with their three channels side by side: one cache line a read.
     texels = window.materialize(mapped).reshape(-1, 3)
     fraction_y, fraction_x = row - jnp.floor(row), column - jnp.floor(column)
@@ -267,9 +265,6 @@ def _read_history(
         weights_y, weights_x = _catmull_rom(fraction_y), _catmull_rom(fraction_x)
     rows = [window.floor_index(row + k, height) * width for k in reach]
     columns = [window.floor_index(column + k, width) for k in reach]
-    rows, columns, weights_y, weights_x = window.materialize(
-        (rows, columns, weights_y, weights_x)
-    )
 
     def texel(r: Array, c: Array) -> Array:
         return texels.at[r + c].get(mode="promise_in_bounds")
@@ -293,7 +288,8 @@ def _read_history(
         total = jnp.clip(total, low, high)
     exact = image.reshape(-1, 3).at[rows[middle] + columns[middle]]
     total, exact = window.materialize((total, exact.get(mode="promise_in_bounds")))
-    return _in_range(vector.unstack(total), config), vector.unstack(exact)
+    filtered = _in_range(vector.unstack(total), config)
+    return filtered, colors.sanitize_vec(vector.unstack(exact))
 
 
 def _in_range(value: Vec3, config: Config) -> Vec3:
@@ -461,7 +457,7 @@ def _one_box(
 
 
 def _current_weight(
-    motion: Float[Array, "h w 2"],
+    speed: Float[Array, "h w"],
     frames: Float[Array, "h w"],
     params: Params,
     config: Config,
@@ -469,10 +465,9 @@ def _current_weight(
     """Returns a, the current sample's weight before any weighting by luma."""
     if config.blend == "accumulate":
         return 1.0 / (frames + 1.0)
-    squared = motion[..., 0] ** 2 + motion[..., 1] ** 2
-    speed = jnp.minimum(jnp.sqrt(squared) / jnp.maximum(params.motion_px, 1e-6), 1.0)
+    share = jnp.minimum(speed / jnp.maximum(params.motion_px, 1e-6), 1.0)
     rest, moving = params.current_weight, params.current_weight_moving
-    return rest + (moving - rest) * speed
+    return rest + (moving - rest) * share
 
 
 def _blend(history: Vec3, sample: Vec3, a: Float[Array, "h w"], config: Config) -> Vec3:

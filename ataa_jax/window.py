@@ -68,20 +68,21 @@ def mean3x3(bordered: Float[Array, "hb wb"]) -> Float[Array, "h w"]:
 
 
 def history_position(
-    motion: Float[Array, "h w 2"],
+    motion_x: Float[Array, "h w"], motion_y: Float[Array, "h w"]
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns where each pixel was: pixel centre + motion.
 
     Args:
-        motion: previous − current position, px, x right, y down.
+        motion_x: previous − current position, px, to the right.
+        motion_y: likewise, downward.
 
     Returns:
         (row, column) in index units: an integer is a pixel centre, so a motion of
         zero, or of whole pixels, lands exactly on a texel.
     """
-    height, width = motion.shape[:2]
-    row = jnp.arange(height, dtype=jnp.float32)[:, None] + motion[..., 1]
-    column = jnp.arange(width, dtype=jnp.float32)[None, :] + motion[..., 0]
+    height, width = motion_x.shape
+    row = jnp.arange(height, dtype=jnp.float32)[:, None] + motion_y
+    column = jnp.arange(width, dtype=jnp.float32)[None, :] + motion_x
     return row, column
 
 
