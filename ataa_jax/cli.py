@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ataa_jax import compare, world
 
 MAX_SIDE = 16384
+_SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
 BAD_INPUT, INTERRUPTED, FAILED = 2, 130, 1
 
 Report = Callable[[str, int, int], None]
@@ -222,7 +223,7 @@ def run(
     console = Console(soft_wrap=True, highlight=False)
     heads = ("frame", "FXAA", "TAA", "ATAA", "rays/px", "over budget", "shadow rays")
     if any(row[1] for row in rows):
-        console.print(_table(heads, rows))
+        console.print(_table(heads, rows[:_SHOWN_ROWS]))
     _notes(console, shot.world.notes)
     console.print(f"\nWrote {final}: frames/, video.mp4, statistics.csv, timings.csv")
 
