@@ -4,6 +4,7 @@ Nothing here writes files; `report` does. Timings are kept apart from scores, so
 all else is a function of the input.
 """
 
+import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -291,6 +292,7 @@ class _Adaptive(Runner):
             self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
         )
         self.first = -options.lead_in
+        self.shadow_rays = 0
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         phase = (frame - self.first) % len(self.jitter)
@@ -321,6 +323,7 @@ class _Adaptive(Runner):
             observe=observe,
         )
         pixels = drawer.shot.size[0] * drawer.shot.size[1]
+        self.shadow_rays = int(output.statistics.shadow_rays)
         stats = output.statistics
         ataa, new = int(stats.ataa_pixels), int(stats.fxaa_pixels)
         self.shares = {
@@ -380,6 +383,8 @@ def _score(
 ) -> None:
     """Scores one frame of every method, and the reference's own flicker."""
     truth = images[REFERENCE]
+    # Crossed: some of the reference's samples met a thin feature, and some did not.
+    crossed = (thin > 0.0) & (thin < 1.0)
     config, params = pipeline.preset("ue4", drawer.shot.world.scene, result.size)
     centred, _, _ = drawer.draw(config.raster, params.raster, None)
     motion = np.asarray(centred.gbuffer.motion)
@@ -398,7 +403,7 @@ def _score(
                 flip=metrics.flip(image, truth),
                 flicker=change,
                 border_mse=metrics.border_error(image, truth),
-                thin_mse=metrics.mean_squared_error(image, truth, thin > 0),
+                thin_mse=metrics.mean_squared_error(image, truth, crossed),
                 **shares.get(name, {}),
             )
         )
@@ -413,9 +418,10 @@ def _score(
 
 def peak_memory() -> int:
     """Returns the process's peak resident memory in bytes, as the system tells it."""
-    info = psutil.Process().memory_info()
-    if hasattr(info, "peak_wset"):  # Windows
-        return int(info.peak_wset)
+    if sys.platform == "win32":
+        return int(psutil.Process().memory_info().peak_wset)
     import resource
 
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    # Kilobytes on Linux, bytes on macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

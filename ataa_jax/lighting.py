@@ -155,10 +155,9 @@ def supply(
         strength = max(suns) / max(_SUN) if suns else 1.0
     if sky is None:
         sky = SkySource(
-            *(
-                tuple(strength * channel for channel in part)
-                for part in (_SKY.zenith, _SKY.horizon, _SKY.ground)
-            )
+            zenith=_times(_SKY.zenith, strength),
+            horizon=_times(_SKY.horizon, strength),
+            ground=_times(_SKY.ground, strength),
         )
         notes.append("no sky in the scene: a clear one was supplied")
     return lights, sky, notes
@@ -296,6 +295,13 @@ def _bulk(source: SceneSource) -> tuple[np.ndarray, float]:
         ]
     radius = float(np.linalg.norm(high - low)) / 2.0
     return (low + high) / 2.0, max(radius, 1e-6)
+
+
+def _times(
+    color: tuple[float, float, float], factor: float
+) -> tuple[float, float, float]:
+    r, g, b = color
+    return r * factor, g * factor, b * factor
 
 
 def _text(vector: tuple[float, float, float]) -> str:

@@ -140,14 +140,26 @@ def _keyframed(path: CameraPath, camera: CameraSource, frame: int, time: float) 
     keys = path.keyframes
     at = [key.frame for key in keys]
     clamped = float(np.clip(frame, at[0], at[-1]))
-    # Monotone cubics pass through the keys without overshooting them.
     position, target = (
-        PchipInterpolator(at, [getattr(key, name) for key in keys])(clamped)
+        _along(at, np.array([getattr(key, name) for key in keys]), frame)
         for name in ("position", "target")
     )
     fov = [camera.fov_y if key.fov_y is None else key.fov_y for key in keys]
     fov_y = float(PchipInterpolator(at, fov)(clamped))
     return Pose(look_at(position, target), fov_y, time)
+
+
+def _along(at: list[float], values: np.ndarray, frame: float) -> np.ndarray:
+    """Interpolates keys by monotone cubics, which do not overshoot them.
+
+    Before the first key the motion of the first frame goes on backwards, so that a
+    sequence does not start with a jerk; after the last key all stands still.
+    """
+    curve = PchipInterpolator(at, values)
+    if frame >= at[0]:
+        return curve(min(frame, at[-1]))
+    step = curve(min(at[0] + 1.0, at[-1])) - values[0]
+    return values[0] + step * (frame - at[0])
 
 
 def _from_toml(file: Path) -> CameraPath:

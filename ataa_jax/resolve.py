@@ -31,8 +31,9 @@ class Params(eqx.Module):
 
 
 def default_params(
-    # our choice: one frame, like any other; only "accumulate" blending reads it.
-    traced_count: float = 1.0,
+    # our choice: of 1, 4, 8 and 16 frames the best mean over three scenes at 0.5 rays a
+    # pixel; only "accumulate" blending reads it.
+    traced_count: float = 4.0,
 ) -> Params:
     """Returns the parameters."""
     return Params(traced_count=jnp.asarray(traced_count, jnp.float32))

@@ -52,6 +52,11 @@ class Config:
     # either: one term over its own threshold is enough.
     reading: Literal["sum", "either"] = "sum"
     use_disocclusion: bool = True  # False: only pixels without a previous position
+    # pixel: the motion at the reprojected pixel alone (paper); neighbourhood: the most
+    # similar motion of its 3×3. our choice: jitter hits a wire in one frame and misses
+    # it in the next, and neither is a disocclusion. On the built-in scene the second
+    # leaves FXAA what really is new (1.0 % of the pixels in place of 1.7 %).
+    disocclusion: Literal["pixel", "neighbourhood"] = "neighbourhood"
     depth_disocclusion: bool = False  # also compare with the previous frame's depth
     use_history: bool = True  # False: nothing is held
     use_luminance: bool = True
@@ -75,7 +80,9 @@ class Params(eqx.Module):
 
 
 def default_params(
-    threshold: float = 0.1,  # our choice: a start; fitted against references
+    # our choice: of 0.03, 0.06 and 0.1 the largest that loses nothing on six scenes at
+    # 0.5 rays a pixel; the budget, not the threshold, bounds the rays of hard views.
+    threshold: float = 0.06,
     luminance_threshold: float = 0.1,  # our choice: likewise
     depth_threshold: float = 0.1,  # our choice: likewise
     luminance_weight: float = 1.0,  # paper, section 3: "weighted equally"
@@ -177,7 +184,7 @@ def segmentation(
     )
     previous = window.nearest_index(row, column)
     new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
-    change, length = _motion_change(state, gbuffer, previous)
+    change, length = _motion_change(state, gbuffer, row, column, config)
 
     disoccluded = jnp.zeros_like(new)
     if config.use_disocclusion:
@@ -241,19 +248,33 @@ def _bit(condition: Bool[Array, "h w"], bit: int) -> UInt[Array, "h w"]:
 
 
 def _motion_change(
-    state: State, gbuffer: GBuffer, previous: Int[Array, "h w"]
+    state: State,
+    gbuffer: GBuffer,
+    row: Float[Array, "h w"],
+    column: Float[Array, "h w"],
+    config: Config,
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns (|m − m′|, max(|m|, |m′|)) in px.
 
     What an object in motion uncovers is found thereby: the reprojected pixel of the
-    still background showed the object, whose motion differs.
+    still background showed the object, whose motion differs. Under "neighbourhood" m′
+    is the one of the 3×3 that differs least.
     """
     x, y = gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    then_x = window.read(state.history.motion[..., 0], previous)
-    then_y = window.read(state.history.motion[..., 1], previous)
-    change = jnp.sqrt((x - then_x) ** 2 + (y - then_y) ** 2)
-    longer = jnp.maximum(x * x + y * y, then_x * then_x + then_y * then_y)
-    return change, jnp.sqrt(longer)
+    steps = (-1.0, 0.0, 1.0) if config.disocclusion == "neighbourhood" else (0.0,)
+    then_x, then_y = state.history.motion[..., 0], state.history.motion[..., 1]
+    least = jnp.full(x.shape, jnp.inf, jnp.float32)
+    length = jnp.zeros(x.shape, jnp.float32)
+    for down in steps:
+        for right in steps:
+            index = window.nearest_index(row + down, column + right)
+            px, py = window.read(then_x, index), window.read(then_y, index)
+            difference = (x - px) ** 2 + (y - py) ** 2
+            closer = difference < least
+            least = jnp.where(closer, difference, least)
+            length = jnp.where(closer, px * px + py * py, length)
+    longer = jnp.maximum(x * x + y * y, length)
+    return jnp.sqrt(least), jnp.sqrt(longer)
 
 
 def _was_hidden(
@@ -394,7 +415,7 @@ def _highest(
     key = jax.lax.bitcast_convert_type(jnp.maximum(score, 0.0), jnp.int32)
     key = jnp.where(wants, key, -1)
 
-    def refine(step: Int[Array, ""], cut: Int[Array, ""]) -> Int[Array, ""]:
+    def refine(step: Int[Array, ""] | int, cut: Int[Array, ""]) -> Int[Array, ""]:
         higher = cut | jnp.left_shift(jnp.int32(1), 30 - step)
         return jnp.where(
             jnp.sum(key >= higher, dtype=jnp.int32) >= allowed, higher, cut

@@ -10,30 +10,13 @@ Axis letters: ``hb wb`` are the rows and columns of a bordered plane, h + 2 and 
 
 from collections.abc import Callable
 from functools import reduce
-from typing import TypeVar
 
-import jax
 import jax.numpy as jnp
-from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from ataa_jax.vector import materialize
+
 Reduce = Callable[[Array, Array], Array]
-Tree = TypeVar("Tree")
-
-
-def materialize(tree: Tree) -> Tree:
-    """Makes XLA compute a value once, where it would fuse it into every reader.
-
-    A function call that must not be inlined: XLA's CPU backend drops
-    `optimization_barrier` before it fuses (jax 0.10).
-    """
-    with set_xla_metadata(inlineable="false"):
-        return _identity(tree)
-
-
-@jax.jit
-def _identity(tree: Tree) -> Tree:
-    return tree
 
 
 def border(plane: Shaped[Array, "h w"]) -> Shaped[Array, "h+2 w+2"]:

@@ -1,8 +1,8 @@
 """Tunes TAA for quality alone, before ATAA is looked at.
 
-A grid over blend weight, mip bias, history filter and rectifier, on a moving and a
-still sequence of every scene; the score is the mean SSIM against the reference. The
-best of the grid is `taa.PRESETS["tuned"]` and `pipeline.MIP_BIAS["tuned"]`.
+A grid over blend weight, mip bias, history filter and rectifier, on a still, a typical
+and a rapid sequence of every scene; the score is the mean SSIM against the reference.
+The best of the grid is `taa.PRESETS["tuned"]` and `pipeline.MIP_BIAS["tuned"]`.
 
     python experiments/tune_taa.py            # writes experiments/results/tune_taa.csv
 """
@@ -32,6 +32,11 @@ RECTIFIERS = (
     ("clip", 1.0),
     ("variance_clip", 1.0),
 )
+SEQUENCES = {
+    "still": ("still", "typical"),
+    "typical": ("walk", "typical"),
+    "rapid": ("walk", "rapid"),
+}
 SCORED = 2  # the last frames of each sequence
 
 
@@ -103,8 +108,8 @@ def main() -> None:
     table: dict[tuple[float, str], dict[str, float]] = defaultdict(dict)
     for name in scenes.available():
         world = scenes.load(name)
-        for kind in ("walk", "still"):
-            shot = scenes.shot(world, kind, size=(height, width))
+        for label, (kind, motion) in SEQUENCES.items():
+            shot = scenes.shot(world, kind, motion, size=(height, width))
             truth = [
                 np.asarray(
                     colors.display(
@@ -119,10 +124,10 @@ def main() -> None:
             ]
             for mip_bias in MIP_BIASES:
                 found = scores(shot, mip_bias, options.frames, truth)
-                for label, ssim in found.items():
-                    table[mip_bias, label][f"{name}/{kind}"] = ssim
-                best = max(found, key=lambda label: found[label])
-                print(f"{name}/{kind} bias {mip_bias}: {best} {found[best]:.4f}")
+                for member, ssim in found.items():
+                    table[mip_bias, member][f"{name}/{label}"] = ssim
+                best = max(found, key=lambda member: found[member])
+                print(f"{name}/{label} bias {mip_bias}: {best} {found[best]:.4f}")
     write(table)
 
 

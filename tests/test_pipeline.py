@@ -138,7 +138,7 @@ def test_statistics_count_what_the_mask_says(world):
 
 
 def test_the_budget_is_kept_and_the_overflow_reported(world):
-    free = run(world, frames=4, threshold=0.02)[-1][0].statistics
+    free = run(world, frames=4, threshold=0.02, budget=np.inf)[-1][0].statistics
     asked = int(free.ataa_pixels)
     budget = 0.25 * asked * 8 / (SIZE[0] * SIZE[1])
     capped = run(world, frames=4, threshold=0.02, budget=budget)[-1][0].statistics

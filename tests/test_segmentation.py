@@ -81,6 +81,7 @@ def run(inputs, config=CONFIG, **params):
 CONFIGS = {
     "paper": CONFIG,
     "either": segmentation.Config(reading="either"),
+    "pixel": segmentation.Config(disocclusion="pixel"),
     "depth test": segmentation.Config(depth_disocclusion=True),
     "no motion test": segmentation.Config(use_disocclusion=False),
     "no history": segmentation.Config(use_history=False, use_luminance=False),
@@ -156,18 +157,22 @@ def test_motion_that_leads_off_screen_or_is_no_number_is_fxaas():
 
 
 def test_what_a_moving_object_uncovers_is_disoccluded():
-    # The object covered columns 2 and 3 and moved right by two; the background stands.
-    state, color, gbuffer, _ = frame((3, 8))
-    then = np.zeros((3, 8, 2), np.float32)
-    then[:, 2:4, 0] = -2.0
-    now = np.zeros((3, 8, 2), np.float32)
-    now[:, 4:6, 0] = -2.0
+    # The object covered columns 2 to 5 and moved right by four; the background stands.
+    state, color, gbuffer, _ = frame((3, 12))
+    then = np.zeros((3, 12, 2), np.float32)
+    then[:, 2:6, 0] = -4.0
+    now = np.zeros((3, 12, 2), np.float32)
+    now[:, 6:10, 0] = -4.0
     state = eqx.tree_at(lambda s: s.history.motion, state, jnp.asarray(then))
     gbuffer = eqx.tree_at(lambda g: g.motion, gbuffer, jnp.asarray(now))
-    method, _, _ = run((state, color, gbuffer, color))
-    np.testing.assert_array_equal(
-        method[1] == types.METHOD_FXAA, [0, 0, 1, 1, 0, 0, 0, 0]
-    )
+    for choice, expected in (
+        ("pixel", [0, 0, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0]),
+        # The band's own rim has a neighbour that stood still before.
+        ("neighbourhood", [0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0]),
+    ):
+        config = segmentation.Config(disocclusion=choice)
+        method, _, _ = run((state, color, gbuffer, color), config)
+        np.testing.assert_array_equal(method[1] == types.METHOD_FXAA, expected)
 
 
 def test_the_depth_test_sees_only_what_was_hidden():

@@ -79,7 +79,7 @@ def test_exposure_makes_the_picture_independent_of_the_lights_unit():
 
 def test_a_missing_camera_is_named_with_those_there_are():
     world = worlds.prepare(bare([tiny.floor(2.0)], cameras=[room_camera()]))
-    with pytest.raises(InputError, match="no camera 'x'.*inside"):
+    with pytest.raises(InputError, match=r"no camera 'x'.*inside"):
         world.camera("x")
 
 

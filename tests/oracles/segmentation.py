@@ -50,7 +50,13 @@ def segmentation(state, color, gbuffer, reprojected, params, config):
                 why[row, column] = 1
                 continue
             y, x = int(np.floor(y)), int(np.floor(x))
-            m_then = at(state.history.motion, y, x).astype(float)
+            reach = (-1, 0, 1) if config.disocclusion == "neighbourhood" else (0,)
+            motions = [
+                at(state.history.motion, y + r, x + c).astype(float)
+                for r in reach
+                for c in reach
+            ]
+            m_then = min(motions, key=lambda then: np.hypot(*(m - then)))
             change = np.hypot(*(m - m_then))
             length = max(np.hypot(*m), np.hypot(*m_then))
             limit = p.disocclusion_px + p.disocclusion_relative * length

@@ -164,8 +164,11 @@ def taa(history, color, gbuffer, jitter, params, config):
                 inner = np.clip(to_space(current, config.space), *box)
                 current = np.maximum(from_space(inner, config.space), 0.0)
             frames = at(history.count, int(np.floor(y)), int(np.floor(x)))
-            frames = min(float(frames), float(params.count_limit))
-            count[row, column] = frames + 1
+            frames, limit = float(frames), float(params.count_limit)
+            if frames > limit:
+                count[row, column] = max(frames - 1, limit)
+            else:
+                count[row, column] = min(frames + 1, limit)
             if config.blend == "accumulate":
                 a = 1.0 / (frames + 1.0)
             else:
