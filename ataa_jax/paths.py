@@ -141,7 +141,7 @@ def _keyframed(path: CameraPath, camera: CameraSource, frame: int, time: float) 
     at = [key.frame for key in keys]
     clamped = float(np.clip(frame, at[0], at[-1]))
     position, target = (
-        _along(at, np.array([getattr(key, name) for key in keys]), frame)
+        _along(at, np.array([getattr(key, name) for key in keys]), float(frame))
         for name in ("position", "target")
     )
     fov = [camera.fov_y if key.fov_y is None else key.fov_y for key in keys]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ataa_jax import color, paths, pipeline, segmentation, types
+from ataa_jax import color, paths, pipeline, segmentation, taa, types
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.scene import (
@@ -222,6 +222,7 @@ def test_a_still_unrectified_average_equals_the_mean_of_its_samples(world):
             motion="pixel", current_filter="none", weighting="tonemap",
         ),
     )  # fmt: skip
+    params = pipeline.with_taa(params, taa.default_params())  # no limit to the count
     shot = worlds.sequence(world, paths.CameraPath(kind="still"), SIZE)
     frames = list(pipeline.sequence(shot, params, config=config, frames=16))
     mean = np.mean([color.tonemap(output.raw) for output, _ in frames], axis=0)

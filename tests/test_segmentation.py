@@ -122,7 +122,7 @@ def test_five_pixels_by_hand():
     state = eqx.tree_at(
         lambda s: s.classification.mask, state, jnp.asarray(held << 16, jnp.uint32)
     )
-    method, hold, out = run((state, color, gbuffer, color))
+    method, hold, out = run((state, color, gbuffer, color), threshold=0.1)
     np.testing.assert_array_equal(method, [[0, 0, 2, 2, 1]])
     np.testing.assert_array_equal(hold, [[0, 0, 2, 0, 0]])
     np.testing.assert_array_equal(out.why, [[1, 2, 4, 4, 0]])
