@@ -158,7 +158,7 @@ def preset(
         raster=raster.default_params(MIP_BIAS[name]),
         taa=taa_params,
         segmentation=segmentation.default_params(),
-        resolve=resolve.default_params(samples / 2.0),
+        resolve=resolve.default_params(),
         fxaa=fxaa.default_params(),
         budget=jnp.asarray(budget, jnp.float32),
     )

@@ -31,8 +31,8 @@ class Params(eqx.Module):
 
 
 def default_params(
-    # our choice: for eight rays, of 1, 4, 8 and 16 frames the best mean over three scenes
-    # at 0.5 rays a pixel; fewer rays count for less. Only "accumulate" reads it.
+    # our choice: of 1, 4, 8 and 16 frames the best mean over three scenes at 0.5 rays a
+    # pixel; only "accumulate" blending reads it.
     traced_count: float = 4.0,
 ) -> Params:
     """Returns the parameters."""
