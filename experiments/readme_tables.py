@@ -1,0 +1,121 @@
+"""Writes the README's tables from the CSV files under experiments/results.
+
+python experiments/readme_tables.py
+"""
+
+import csv
+import re
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+README = Path(__file__).parents[1] / "README.md"
+NAMES = {
+    "builtin": "built-in",
+    "sponza": "Sponza",
+    "modern_house": "modern house",
+    "dutch_ship": "Dutch ship",
+    "littlest_tokyo": "Littlest Tokyo",
+    "cesium_milk_truck": "milk truck",
+}
+METHODS = {
+    "none": "No AA",
+    "fxaa": "FXAA",
+    "taa_ue4": "TAA, literature",
+    "taa": "TAA, tuned",
+    "ataa2": "ATAA 2x",
+    "ataa4": "ATAA 4x",
+    "ataa8": "ATAA 8x",
+    "ataa8_ue4": "ATAA 8x on literature's TAA",
+    "ssaa4": "SSAA 4x",
+    "ssaa8": "SSAA 8x",
+}
+
+
+def read(name: str) -> list[dict[str, str]]:
+    """Returns a results file's rows."""
+    with (RESULTS / name).open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def markdown(head: list[str], rows: list[list[str]]) -> str:
+    """Returns a table; all columns but the first are right-aligned."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def percent(text: str) -> str:
+    """Returns a share as per cent, or a dash."""
+    value = float(text)
+    return "–" if value != value else f"{100 * value:.0f} %"
+
+
+def ratio(text: str) -> str:
+    """Returns a ratio, or a dash."""
+    value = float(text)
+    return "–" if value != value else f"{value:.2f}"
+
+
+def quality() -> str:
+    """SSIM by method and scene, then what ATAA removes."""
+    cells = {(row["scene"], row["method"]): row for row in read("quality.csv")}
+    scenes = [name for name in NAMES if (name, "taa") in cells]
+    rows = [
+        [label, *(f"{float(cells[scene, method]['ssim']):.4f}" for scene in scenes)]
+        for method, label in METHODS.items()
+    ]
+    for label, method, column, text in (
+        ("*removed* by ATAA 8x", "ataa8", "taa_error_removed", percent),
+        ("… on literature's TAA", "ataa8_ue4", "taa_error_removed", percent),
+        ("*thin*, ATAA 8x", "ataa8", "thin_mse_ratio", ratio),
+        ("rays a pixel, ATAA 8x", "ataa8", "rays_per_pixel", ratio),
+    ):
+        rows.append([label, *(text(cells[s, method][column]) for s in scenes)])
+    return markdown(["SSIM", *(NAMES[scene] for scene in scenes)], rows)
+
+
+def shares() -> str:
+    """FXAA's and the tracer's shares in typical and rapid motion."""
+    rows = [
+        [
+            f"{NAMES[row['scene']]}, {row['motion']}",
+            f"{100 * float(row['fxaa_share']):.1f} %",
+            f"{100 * float(row['ataa_share']):.1f} %",
+            f"{float(row['rays_per_pixel']):.2f}",
+            f"{float(row['rays_per_pixel_without_budget']):.2f}",
+        ]
+        for row in read("shares.csv")
+    ]
+    return markdown(
+        ["motion", "FXAA pixels", "traced", "rays a pixel", "… without a budget"], rows
+    )
+
+
+def still() -> str:
+    """SSIM of a still camera over the frames."""
+    table = read("still.csv")
+    counts = [key for key in table[0] if key.startswith("ssim_")]
+    rows = [
+        [f"{NAMES[row['scene']]}: {row['method']}", *(row[key] for key in counts)]
+        for row in table
+    ]
+    head = ["still camera", *(f"{key.removeprefix('ssim_')} frames" for key in counts)]
+    return markdown(head, rows)
+
+
+def main() -> None:
+    """Replaces what stands between the markers."""
+    text = README.read_text("utf-8")
+    for name, table in (
+        ("quality", quality()),
+        ("shares", shares()),
+        ("still", still()),
+    ):
+        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        pattern = re.escape(begin) + ".*?" + re.escape(end)
+        replacement = f"{begin}\n{table}\n{end}"
+        text = re.sub(pattern, lambda _: replacement, text, flags=re.DOTALL)  # noqa: B023
+    README.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
