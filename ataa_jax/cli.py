@@ -90,13 +90,20 @@ Motion = Annotated[
 ParamsOption = Annotated[
     Path | None,
     typer.Option(
-        "--params", metavar="FILE", help="TOML with numbers in place of the preset's."
+        "--params",
+        metavar="FILE",
+        help="TOML with numbers in place of the tuned preset's.",
     ),
 ]
 Out = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Where results go; new or empty.")
 ]
-Budget = Annotated[float, typer.Option(help="Sparse rays a pixel of the frame; inf.")]
+Budget = Annotated[
+    float | None,
+    typer.Option(
+        help="Sparse rays a pixel of the frame, or inf; 0.5 unless --params says."
+    ),
+]
 ReferenceSamples = Annotated[int, typer.Option(help="Samples a pixel of the truth.")]
 LeadIn = Annotated[int, typer.Option(help="Frames before the first that is kept.")]
 Preset = Annotated[str, typer.Option(help="TAA constants: tuned or ue4.")]
@@ -191,7 +198,7 @@ def run(
     preset: Preset = "tuned",
     camera: CameraOption = None,
     motion: Motion = None,
-    budget: Budget = 0.5,
+    budget: Budget = None,
     lead_in: LeadIn = 0,
     params: ParamsOption = None,
     exr: Annotated[bool, typer.Option("--exr", help="Also linear OpenEXR.")] = False,
@@ -209,11 +216,12 @@ def run(
         if preset not in ("tuned", "ue4"):
             raise InputError(f"unknown preset '{preset}'; known are tuned, ue4")
         if preset == "ue4" and name.startswith(("taa", "ataa")):
-            if params is not None:
-                raise InputError(
-                    "--params changes the tuned preset; leave --preset out"
-                )
             name = name.removesuffix("_ue4") + "_ue4"
+        if name.endswith("_ue4") and params is not None:
+            raise InputError(
+                "--params changes the tuned preset; leave out --preset ue4 and the "
+                "methods that end in _ue4"
+            )
         options = {"frames": frames, "lead_in": lead_in, "budget": budget}
         with _progress() as report:
             shot, chosen = _prepare(
@@ -236,7 +244,7 @@ def compare_command(
     method: Methods = None,
     camera: CameraOption = None,
     motion: Motion = None,
-    budget: Budget = 0.5,
+    budget: Budget = None,
     reference_samples: ReferenceSamples = 64,
     lead_in: LeadIn = 8,
     params: ParamsOption = None,
@@ -266,7 +274,7 @@ def bench(
     scene: Scene,
     size: Size = "640x360",
     camera: CameraOption = None,
-    budget: Budget = 0.5,
+    budget: Budget = None,
     out: Out = None,
     traceback: Traceback = False,
 ) -> None:
@@ -283,7 +291,9 @@ def bench(
             report("loading the scene", 0, 2)
             loaded = worlds.load(scene, camera=name)
             report("measuring", 1, 2)
-            rows = benchmark.run(loaded, extent, camera, budget)
+            rows = benchmark.run(
+                loaded, extent, camera, 0.5 if budget is None else budget
+            )
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)
@@ -344,7 +354,8 @@ def _prepare(
     from ataa_jax import world as worlds
 
     path = paths.load(camera or "walk", motion)
-    budget = options.get("budget", 0.5)
+    given = options.pop("budget", None)
+    budget = 0.5 if given is None else given
     if not budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
     table = parameters.read(params) if params is not None else {}
@@ -354,6 +365,9 @@ def _prepare(
         _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
+        if given is None:  # the file's budget counts, but the command line wins
+            budget = float(options["params"].budget)
+    options["budget"] = budget
     return worlds.sequence(loaded, path, extent), compare.Options(**options)
 
 

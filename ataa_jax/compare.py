@@ -179,7 +179,7 @@ def compare(
         _score(result, runners, images, previous, index, np.asarray(truth.thin), drawer)
         previous = images
     for each in runners:
-        result.stage_ms[each.name] = each.times
+        result.stage_ms[each.name] = each.steady()
     result.peak_memory_bytes = peak_memory()
     return result
 
@@ -233,6 +233,10 @@ class Runner:
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         """Renders a frame; `shares`, `method` and `why` then tell of it."""
         raise NotImplementedError
+
+    def steady(self) -> dict[str, list[float]]:
+        """Returns the times of each stage without its first, which compiled it."""
+        return {stage: times[1:] or times for stage, times in self.times.items()}
 
     def record(self, stage: str, milliseconds: float) -> None:
         """Notes what one stage took."""

@@ -66,7 +66,9 @@ def shoot(
             f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
         )
     files.write_csv(folder / "statistics.csv", STATISTICS, rows)
-    write_timings({method: runner.times}, compare.peak_memory(), folder / "timings.csv")
+    write_timings(
+        {method: runner.steady()}, compare.peak_memory(), folder / "timings.csv"
+    )
     shown = (_read(folder / f"frames/{i:04d}.png") for i in range(options.frames))
     files.write_video(folder / "video.mp4", shown, shot.path.fps)
     return rows

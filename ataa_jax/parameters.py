@@ -6,7 +6,7 @@ stages, keys the fields of their `Params`:
     budget = 0.5           # rays a pixel of the frame
 
     [taa]
-    blend = 0.2
+    count_limit = 4
 
     [segmentation]
     threshold = 0.08
@@ -128,8 +128,8 @@ def _leaf(old: Any, value: object, where: str, name: str) -> Any:
         raise InputError(f"{where}: '{name}' must be {wanted}, not {value!r}")
     if np.any(np.isnan(array)) or (name != "budget" and not np.all(np.isfinite(array))):
         raise InputError(f"{where}: '{name}' must be finite, not {value!r}")
-    if name == "budget" and array < 0.0:
-        raise InputError(f"{where}: 'budget' must be at least 0, not {value!r}")
+    if name != "raster.mip_bias" and np.any(array < 0.0):
+        raise InputError(f"{where}: '{name}' must be at least 0, not {value!r}")
     if np.issubdtype(dtype, np.integer) and np.any(array != np.round(array)):
         raise InputError(f"{where}: '{name}' must be a whole number, not {value!r}")
     return jnp.asarray(array.astype(dtype))

@@ -255,4 +255,4 @@ def _speed(value: object) -> float:
                 f"motion '{value}' is neither 'typical', 'rapid' nor a share of the "
                 "image's width a frame"
             ) from None
-    return _number("options", "motion", value, 0.0, 1.0)
+    return _number("speed", "motion", value, 0.0, 1.0)

@@ -285,8 +285,14 @@ def load_mesh(path: str | Path) -> SceneSource:
             f"and {', '.join('.' + name for name in sorted(known))}"
         )
     try:
-        loaded = trimesh.load_scene(path)
+        # Not processed: trimesh would drop vertices that are not numbers unseen.
+        loaded = trimesh.load_scene(path, process=False)
         placed = _placed(loaded)
+    except ImportError:
+        raise InputError(
+            f"scene {path} cannot be read as {suffix}: it is malformed, or its text is "
+            "not UTF-8; check the file"
+        ) from None
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
