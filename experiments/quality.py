@@ -26,7 +26,7 @@ def rows(name: str, result: compare.Comparison) -> list[list[str]]:
     taa = 1.0 - result.mean("taa", "ssim")
     ue4 = 1.0 - result.mean("taa_ue4", "ssim")
     table = []
-    for method in (*compare.METHODS, compare.REFERENCE):
+    for method in (*result.options.methods, compare.REFERENCE):
         base = "taa_ue4" if method.endswith("ue4") else "taa"
         left = 1.0 - result.mean(method, "ssim")
         removed = 1.0 - left / (ue4 if base == "taa_ue4" else taa)
@@ -41,28 +41,41 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--reference-samples", type=int, default=64)
+    parser.add_argument(
+        "--methods", help="only these, with commas; other rows stay as they are"
+    )
     options = parser.parse_args()
+    methods = tuple(compare.METHODS)
+    if options.methods:
+        methods = compare.check_methods(options.methods.split(","))
     results = Path(__file__).parent / "results"
     results.mkdir(exist_ok=True)
-    table = []
+    file = results / "quality.csv"
+    table: dict[tuple[str, str], list[str]] = {}
+    if options.methods and file.is_file():
+        with file.open(newline="") as stream:
+            table = {(row[0], row[1]): row for row in list(csv.reader(stream))[1:]}
     for name in scenes.available():
         shot = scenes.shot(scenes.load(name))
         result = compare.compare(
             shot,
             compare.Options(
-                frames=options.frames, reference_samples=options.reference_samples
+                frames=options.frames,
+                reference_samples=options.reference_samples,
+                methods=methods,
             ),
         )
-        folder = Path("out") / "quality" / name
-        folder.mkdir(parents=True, exist_ok=True)
-        report.write(result, folder)
-        table += rows(name, result)
-        for row in table[-len(compare.METHODS) - 1 :]:
+        if not options.methods:
+            folder = Path("out") / "quality" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            report.write(result, folder)
+        for row in rows(name, result):
+            table[row[0], row[1]] = row
             print(*row[:3], *row[-2:], flush=True)
-        with (results / "quality.csv").open("w", newline="") as stream:
+        with file.open("w", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             head = ["scene", "method", *COLUMNS, "taa_error_removed", "thin_mse_ratio"]
-            writer.writerows([head, *table])
+            writer.writerows([head, *table.values()])
 
 
 if __name__ == "__main__":

@@ -122,7 +122,8 @@ def test_five_pixels_by_hand():
     state = eqx.tree_at(
         lambda s: s.classification.mask, state, jnp.asarray(held << 16, jnp.uint32)
     )
-    method, hold, out = run((state, color, gbuffer, color), threshold=0.1)
+    config = segmentation.Config(disocclusion="pixel")
+    method, hold, out = run((state, color, gbuffer, color), config, threshold=0.1)
     np.testing.assert_array_equal(method, [[0, 0, 2, 2, 1]])
     np.testing.assert_array_equal(hold, [[0, 0, 2, 0, 0]])
     np.testing.assert_array_equal(out.why, [[1, 2, 4, 4, 0]])
@@ -163,7 +164,10 @@ def test_what_a_moving_object_uncovers_is_disoccluded():
     then[:, 2:6, 0] = -4.0
     now = np.zeros((3, 12, 2), np.float32)
     now[:, 6:10, 0] = -4.0
-    state = eqx.tree_at(lambda s: s.history.motion, state, jnp.asarray(then))
+    near = state.history.depth.at[:, 2:6].multiply(0.5)
+    state = eqx.tree_at(
+        lambda s: (s.history.motion, s.history.depth), state, (jnp.asarray(then), near)
+    )
     gbuffer = eqx.tree_at(lambda g: g.motion, gbuffer, jnp.asarray(now))
     for choice, expected in (
         ("pixel", [0, 0, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0]),
@@ -232,6 +236,8 @@ def test_terms_lie_in_the_unit_interval_and_scaling_the_scene_changes_nothing(
     for term in (out.luminance, out.depth, out.score):
         assert np.all((np.asarray(term) >= 0.0) & (np.asarray(term) <= 1.0))
     gbuffer = eqx.tree_at(lambda g: g.depth, gbuffer, gbuffer.depth * scale)
+    past = state.history.depth * scale
+    state = eqx.tree_at(lambda s: s.history.depth, state, past)
     _, _, scaled = run((state, color, gbuffer, then))
     np.testing.assert_array_equal(scaled.mask, out.mask)
 

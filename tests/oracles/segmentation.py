@@ -61,9 +61,12 @@ def segmentation(state, color, gbuffer, reprojected, params, config):
             length = max(np.hypot(*m), np.hypot(*m_then))
             limit = p.disocclusion_px + p.disocclusion_relative * length
             hidden = config.use_disocclusion and change > limit
+            z, z_then = gbuffer.depth[row, column], at(state.history.depth, y, x)
+            nearer = z_then < (1.0 - p.depth_relative) * z and np.isfinite(z_then)
+            if config.disocclusion == "neighbourhood":
+                hidden = hidden and nearer
             if config.use_disocclusion and config.depth_disocclusion:
-                z, z_then = gbuffer.depth[row, column], at(state.history.depth, y, x)
-                hidden |= z_then < (1.0 - p.depth_relative) * z and np.isfinite(z_then)
+                hidden |= nearer
             if hidden:
                 why[row, column] = 2
                 continue
