@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import compare, world
+    from ataa_jax import compare, types, world
 
 MAX_SIDE = 16384
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
@@ -164,7 +164,7 @@ def info(
         ("Triangles", f"{triangles:,}"),
         ("Objects", f"{len(source.meshes):,}"),
         ("Materials", f"{len(source.materials):,}"),
-        ("Textures", f"{len(source.textures):,}"),
+        ("Textures", f"{_textures(loaded.scene.materials):,}"),
         ("Rigid groups", f"{len(source.group_names):,}"),
         ("Animation", moving),
         ("Exposure", f"{loaded.exposure:.4g}"),
@@ -369,6 +369,20 @@ def _prepare(
             budget = float(options["params"].budget)
     options["budget"] = budget
     return worlds.sequence(loaded, path, extent), compare.Options(**options)
+
+
+def _textures(materials: "types.Materials") -> int:
+    """Returns how many textures the materials read."""
+    import numpy as np
+
+    tables = (
+        materials.base_color_texture,
+        materials.metallic_roughness_texture,
+        materials.normal_texture,
+        materials.emissive_texture,
+    )
+    ids = np.unique(np.concatenate([np.asarray(table) for table in tables]))
+    return int(np.sum(ids >= 0))
 
 
 def _size(text: str) -> tuple[int, int]:

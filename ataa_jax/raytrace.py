@@ -43,6 +43,15 @@ class RaytraceOutput(eqx.Module):
     shadow_rays: Int[Array, ""]
 
 
+def nothing(size: tuple[int, int]) -> RaytraceOutput:
+    """Returns what the stage gives where no pixel is traced."""
+    return RaytraceOutput(
+        color=jnp.zeros((*size, 3), jnp.float32),
+        primary_rays=jnp.zeros((), jnp.int32),
+        shadow_rays=jnp.zeros((), jnp.int32),
+    )
+
+
 @partial(jax.jit, static_argnames=("tracer", "config"))
 def raytrace(
     scene: Scene,

@@ -466,30 +466,34 @@ def _pack_materials(materials: list[MaterialSource]) -> types.Materials:
 def _pack_textures(sources: list[TextureSource]) -> types.Textures:
     """Builds the mip pyramids on all cores and lays them out in one array."""
     sources = sources or [TextureSource(np.full((1, 1, 4), 255, np.uint8), srgb=False)]
+    shapes = [mipmap.level_shapes(*s.texels.shape[:2]) for s in sources]
+    levels = max(len(shape) for shape in shapes)
+    # Levels beyond a texture's last repeat its last.
+    table = np.array([s + s[-1:] * (levels - len(s)) for s in shapes], np.int32)
+    height, width = table[..., 0], table[..., 1]
+    counts = np.array([len(shape) for shape in shapes], np.int32)
+    sizes = np.where(np.arange(levels) < counts[:, None], height * width, 0)
+    ends = np.cumsum(sizes.reshape(-1)).reshape(sizes.shape)
+    starts = ends - sizes
+    last = np.minimum(np.arange(levels), counts[:, None] - 1)
+    offset = np.take_along_axis(starts, last, axis=1).astype(np.int32)
+    flat = np.empty(int(ends[-1, -1]), np.uint32)
+
+    def fill(row: int) -> None:
+        source = sources[row]
+        levels_of = mipmap.pyramid(source.texels, source.srgb)
+        for level, texels in enumerate(levels_of):
+            first = starts[row, level]
+            flat[first : first + texels.size] = texels.reshape(-1)
+
     with ThreadPoolExecutor() as pool:
-        pyramids = list(pool.map(lambda s: mipmap.pyramid(s.texels, s.srgb), sources))
-    levels = max(len(pyramid) for pyramid in pyramids)
-    offset = np.zeros((len(sources), levels), np.int32)
-    height, width = np.zeros_like(offset), np.zeros_like(offset)
-    flat: list[np.ndarray] = []
-    start = 0
-    for row, pyramid in enumerate(pyramids):
-        for level in range(levels):
-            if level < len(pyramid):
-                texels = pyramid[level]
-                flat.append(texels.reshape(-1))
-                offset[row, level] = start
-                height[row, level], width[row, level] = texels.shape
-                start += texels.size
-            else:
-                for table in (offset, height, width):
-                    table[row, level] = table[row, level - 1]
+        list(pool.map(fill, range(len(sources))))
     return types.Textures(
-        texels=jnp.asarray(np.concatenate(flat)),
+        texels=jnp.asarray(flat),
         level_offset=jnp.asarray(offset),
         level_height=jnp.asarray(height),
         level_width=jnp.asarray(width),
-        level_count=jnp.asarray(np.array([len(p) for p in pyramids], np.int32)),
+        level_count=jnp.asarray(counts),
         wrap_u=jnp.asarray(np.array([s.wrap_u for s in sources], np.int32)),
         wrap_v=jnp.asarray(np.array([s.wrap_v for s in sources], np.int32)),
         srgb=jnp.asarray(np.array([s.srgb for s in sources], bool)),

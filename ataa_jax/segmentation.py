@@ -135,6 +135,20 @@ def unpack_mask(
     return mask & jnp.uint32(0xFFFF), mask >> jnp.uint32(16)
 
 
+def all_taa(size: tuple[int, int]) -> Segmentation:
+    """Returns the segmentation of plain TAA: every pixel, and no reason to doubt it."""
+    nothing = jnp.zeros(size, jnp.float32)
+    return Segmentation(
+        mask=pack_mask(
+            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
+        ),
+        why=jnp.zeros(size, jnp.uint8),
+        score=nothing,
+        luminance=nothing,
+        depth=nothing,
+    )
+
+
 @partial(jax.jit, static_argnames="config")
 def segment(
     state: State,

@@ -41,7 +41,7 @@ class World:
     """
 
     name: str
-    source: SceneSource
+    source: SceneSource  # without its images: `scene` holds them, filtered
     scene: types.Scene
     tracer: embree.Tracer
     cameras: list[CameraSource]  # at least one
@@ -204,6 +204,7 @@ def prepare(
     packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
     return replace(
         world,
+        source=replace(source, textures=[]),
         scene=_exposed(packed, exposure),
         lights=lights,
         exposure=exposure,
