@@ -294,6 +294,7 @@ def bench(
             rows = benchmark.run(
                 loaded, extent, camera, 0.5 if budget is None else budget
             )
+            rows.append(benchmark.peak_memory(scene))
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)
