@@ -5,6 +5,7 @@ Textures are noise, so that a wrong level, texel or derivative shows.
 
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import scene as scenes
@@ -78,7 +79,7 @@ def yard() -> Shot:
 
 
 def workshop() -> Shot:
-    """The camera rests; a masked, mirrored, stretched sign swings over a still bench."""
+    """The camera rests; a masked, mirrored, stretched sign swings over a bench."""
     rng = np.random.default_rng(1)
     mirror = {"wrap_u": types.WRAP_MIRROR, "wrap_v": types.WRAP_CLAMP}
     textures = [
@@ -193,7 +194,7 @@ def packed(
         )
     )  # fmt: skip
     packed_sky = scenes.pack_sky(sky, visibility)
-    bounce = np.array([0.06, 0.05, 0.04], np.float32) * np.float32(1 - visibility)
+    bounce = jnp.asarray(np.array([0.06, 0.05, 0.04]) * (1 - visibility), jnp.float32)
     return replace(scene, sky=replace(packed_sky, bounce=bounce))
 
 

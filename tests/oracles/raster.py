@@ -51,6 +51,7 @@ class Sample:
     near: bool
     near_color: bool
     shadow_rays: int = 0
+    shadows: int = 0  # shadow rays that met something
     depth: float = math.inf
     normal: np.ndarray | None = None  # interpolated, without the normal map
     hit: Hit | None = None
@@ -68,6 +69,7 @@ class Image:
     object: np.ndarray
     material: np.ndarray
     shadow_rays: np.ndarray  # of each pixel
+    shadows: np.ndarray
     near: np.ndarray
     near_color: np.ndarray
 
@@ -119,6 +121,7 @@ def draw(
         object=np.full(size, -1),
         material=np.full(size, -1),
         shadow_rays=np.zeros(size, int),
+        shadows=np.zeros(size, int),
         near=np.zeros(size, bool),
         near_color=np.zeros(size, bool),
     )
@@ -128,6 +131,7 @@ def draw(
         image.color[at] = sample.color
         image.depth[at] = sample.depth
         image.shadow_rays[at] = sample.shadow_rays
+        image.shadows[at] = sample.shadows
         image.near[at] = sample.near
         image.near_color[at] = sample.near_color
         if sample.hit is not None:
@@ -190,7 +194,7 @@ def trace(
         bent = normal
     surface = (material.base, material.metallic, material.roughness, bent, view)
     color = material.emissive + shading.ambient(frame.scene.sky, *surface)
-    rays = 0
+    rays = shadows = 0
     for index in range(len(np.asarray(frame.scene.lights.kind))):
         toward, limit, strength = shading.incident(frame.scene.lights, index, point)
         cosines = (float(bent @ toward), float(facing @ toward))
@@ -203,11 +207,12 @@ def trace(
         reach = SHADOW_REACH * frame.extent
         blocker, close = _meet(frame, point, toward, limit, reach, hit.triangle)
         doubtful |= close
+        shadows += blocker is not None
         if blocker is None:
             color = color + strength * shading.reflect(*surface, toward)
     # Directions have z = −1 in the view, so distance along them is depth along −z.
     depth = -float((_view_from_world(frame.camera) @ [*point, 1.0])[2])
-    return Sample(color, near, near or doubtful, rays, depth, normal, hit)
+    return Sample(color, near, near or doubtful, rays, shadows, depth, normal, hit)
 
 
 def _meet(
