@@ -79,7 +79,7 @@ def yard() -> Shot:
 
 
 def workshop() -> Shot:
-    """The camera rests; a masked, mirrored, stretched sign swings over a bench."""
+    """The camera rests; a mirrored and stretched sign and ball swing past a lamp."""
     rng = np.random.default_rng(1)
     mirror = {"wrap_u": types.WRAP_MIRROR, "wrap_v": types.WRAP_CLAMP}
     textures = [
@@ -100,7 +100,8 @@ def workshop() -> Shot:
     meshes = [
         mesh(tiny.floor(8.0, -0.5), 0),
         mesh(tiny.quad(1.6), 1, group=1, repeat=2.3),
-        mesh(tiny.cube(0.8, (-0.9, -0.1, -0.6)), 2),
+        mesh(tiny.cube(0.8), 2, group=2),
+        mesh(tiny.sphere(5, 8, 0.5), 0, group=1, at=(0.9, 0.1, -0.4), smooth=True),
     ]
     lights = [
         scenes.LightSource(
@@ -108,8 +109,9 @@ def workshop() -> Shot:
             direction=(-0.1, -0.8, -0.6), inner_cone_angle=0.2, outer_cone_angle=0.8,
         )
     ]  # fmt: skip
-    now = [tiny.still()[0], tiny.moved((0.4, 0.3, 0.2), 0.6, (-1.0, 0.7, 1.3))]
-    then = [tiny.still()[0], tiny.moved((0.3, 0.35, 0.2), 0.8, (-1.0, 0.7, 1.3))]
+    lamp = tiny.moved((-0.9, -0.1, -0.6), 0.3, 1.1)
+    now = [tiny.still()[0], tiny.moved((0.4, 0.3, 0.2), 0.6, (-1.0, 0.7, 1.3)), lamp]
+    then = [tiny.still()[0], tiny.moved((0.3, 0.35, 0.2), 0.8, (-1.0, 0.7, 1.3)), lamp]
     inputs = frames.inputs(
         (-0.4, 1.1, 2.9), (0.0, 0.1, 0.0), jitter=(-0.25, 0.375), fov_y=0.8,
         groups=np.stack(now), previous_groups=np.stack(then),
@@ -190,7 +192,7 @@ def packed(
     scene, _ = scenes.pack(
         scenes.SceneSource(
             "", meshes, materials, textures, lights, sky=sky,
-            group_names=["static", "moving"][:groups],
+            group_names=["static", "moving", "resting"][:groups],
         )
     )  # fmt: skip
     packed_sky = scenes.pack_sky(sky, visibility)

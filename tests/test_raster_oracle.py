@@ -77,22 +77,21 @@ def test_object_and_material_ids_are_the_nearest_solid_triangles(pairs):
 
 def test_depth_is_along_the_view_axis_and_infinite_on_the_sky(pairs):
     for found, expected in pairs:
-        sure = ~expected.near
-        # t = N · (p0 − o) / N · d: some ten roundings of 2^-24, over cosines of 0.1 in
-        # the flattest views of the floor.
-        np.testing.assert_allclose(
-            found.gbuffer.depth[sure], expected.depth[sure], rtol=5e-6
-        )
+        sky = ~expected.near & (expected.object < 0)
+        assert np.all(np.isposinf(found.gbuffer.depth[sky]))
+        # A ray that rounding shifts meets the plane elsewhere, the farther the flatter
+        # it lies to the view; that far may depth err, and by a last bit or two.
+        hit = ~expected.near & (expected.object >= 0)
+        error = np.abs(found.gbuffer.depth[hit] - expected.depth[hit])
+        assert np.all(error <= expected.shift[hit] + 2.0**-22 * expected.depth[hit])
 
 
 def test_normals_are_the_interpolated_ones_toward_the_viewer(pairs):
     for found, expected in pairs:
         sure = ~expected.near
-        # Weights of the corners: their rounding of about 1e-6 on the ball's small
-        # triangles, times normals that differ by 1.
-        np.testing.assert_allclose(
-            found.gbuffer.normal[sure], expected.normal[sure], atol=5e-6
-        )
+        # As for depth, for the weights of three unit vectors.
+        error = np.abs(found.gbuffer.normal[sure] - expected.normal[sure]).max(axis=-1)
+        assert np.all(error <= 2 * expected.slack[sure] + 2.0**-22)
 
 
 def test_motion_leads_to_the_same_point_of_the_previous_image(pairs):
@@ -119,8 +118,9 @@ def test_motion_leads_to_the_same_point_of_the_previous_image(pairs):
 def test_motion_is_exactly_zero_where_nothing_moved():
     (found, expected), *_ = drawn(furnished.workshop)
     still = ~expected.near & np.all(np.abs(expected.motion) < 1e-9, axis=-1)
-    assert np.all(still[~expected.near] == (expected.object != 1)[~expected.near])
-    assert np.any(still & (expected.object < 0))
+    # The sky, the bench, and the lamp, which rests in a rigid group of its own.
+    assert set(np.unique(expected.object[still])) == {-1, 0, 2}
+    assert set(np.unique(expected.object[~still & ~expected.near])) == {1, 3}
     np.testing.assert_array_equal(found.gbuffer.motion[still], 0.0)
     assert np.all(found.gbuffer.motion[~still & ~expected.near] != 0.0)
 

@@ -41,6 +41,8 @@ class Hit:
     triangle: int
     distance: float  # in units of the ray direction's length
     weights: np.ndarray  # (3,), of the corners
+    slack: float = 0.0  # how far rounding may shift a weight
+    shift: float = 0.0  # and the point along its plane, scene units
 
 
 @dataclass
@@ -70,6 +72,8 @@ class Image:
     material: np.ndarray
     shadow_rays: np.ndarray  # of each pixel
     shadows: np.ndarray
+    slack: np.ndarray  # `Hit.slack`, 0 on the sky
+    shift: np.ndarray
     near: np.ndarray
     near_color: np.ndarray
 
@@ -122,6 +126,8 @@ def draw(
         material=np.full(size, -1),
         shadow_rays=np.zeros(size, int),
         shadows=np.zeros(size, int),
+        slack=np.zeros(size),
+        shift=np.zeros(size),
         near=np.zeros(size, bool),
         near_color=np.zeros(size, bool),
     )
@@ -136,6 +142,7 @@ def draw(
         image.near_color[at] = sample.near_color
         if sample.hit is not None:
             image.normal[at] = sample.normal
+            image.slack[at], image.shift[at] = sample.hit.slack, sample.hit.shift
             image.object[at] = frame.object[sample.hit.triangle]
             image.material[at] = frame.material[sample.hit.triangle]
         motion = _motion(frame, size, centre + frame.jitter, sample.hit)
@@ -241,14 +248,17 @@ def _meet(
     possible = (along != 0) & (distance > 1e-9) & (distance < limit)
     possible &= inside > -slack
     near = False
-    for i in sorted(np.flatnonzero(possible), key=lambda i: distance[i]):
+    candidates = np.flatnonzero(possible).tolist()
+    for i in sorted(candidates, key=lambda i: distance[i]):
         if i == own:
             continue
         weights = np.array([1 - u[i] - v[i], u[i], v[i]])
         solid, sure = _solid(frame, i, weights, float(slack[i]))
         near |= inside[i] <= slack[i] or not sure or distance[i] < reach
         if inside[i] >= 0 and solid:
-            return Hit(int(i), float(distance[i]), weights), bool(near)
+            shift = float(slack[i] * frame.altitude[i])
+            hit = Hit(i, float(distance[i]), weights, float(slack[i]), shift)
+            return hit, bool(near)
     return None, bool(near)
 
 
