@@ -43,6 +43,7 @@ from ataa_jax.types import (
     FrameInputs,
     GBuffer,
     History,
+    Rays,
     Scene,
     Segmentation,
     State,
@@ -84,8 +85,8 @@ class Statistics(eqx.Module):
     ataa_pixels: Int[Array, ""]
     overflow_pixels: Int[Array, ""]  # asked for rays beyond the budget
     primary_rays: Int[Array, ""]  # sparse ones, of the raytrace stage
-    shadow_rays: Int[Array, ""]  # of the raytrace stage
-    raster_shadow_rays: Int[Array, ""]
+    rays: Rays  # of the raytrace stage
+    raster_rays: Rays
 
 
 class FrameOutput(eqx.Module):
@@ -238,7 +239,7 @@ def antialias(
     else:
         segmented, overflow = segmentation.all_taa(size), jnp.zeros((), jnp.int32)
         method, _ = segmentation.unpack_mask(segmented.mask)
-        traced = raytrace.nothing(size)
+        traced = raytrace.nothing(size, scene.lights)
     with jax.named_scope("resolve"):
         resolved = observe(
             "resolve",
@@ -269,8 +270,8 @@ def antialias(
             ataa_pixels=jnp.sum(method == METHOD_ATAA, dtype=jnp.int32),
             overflow_pixels=overflow,
             primary_rays=traced.primary_rays,
-            shadow_rays=traced.shadow_rays,
-            raster_shadow_rays=drawn.shadow_rays,
+            rays=traced.rays,
+            raster_rays=drawn.rays,
         ),
     )
     return output, State(

@@ -2,7 +2,7 @@
 
 Visibility comes from Embree, a ray through each pixel's jittered sample in place of a
 rasterizer; everything else is as a rasterizer leaves it, mip levels included. The
-colour comes from `shading.radiance`, the code that ray hits run too.
+colour comes from `transport.trace`, the code that the tracer runs too.
 
 Symbols: a *sample position* is the pixel's centre plus the jitter; a motion vector is
 previous − current position of the sampled point in px, so the jitter cancels.
@@ -17,10 +17,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
-from ataa_jax import embree, shading, vector
+from ataa_jax import embree, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
-from ataa_jax.surface import Surface, previous_position
-from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Scene
+from ataa_jax.surface import Surface, interpolate, previous_position
+from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Rays, Scene
 from ataa_jax.vector import Vec3
 
 # our choice: an image is drawn in bands of rows, so that the temporaries of shading,
@@ -55,7 +55,12 @@ class RasterOutput(eqx.Module):
     color: Float[Array, "h w 3"]  # linear radiance
     gbuffer: GBuffer
     primary_rays: Int[Array, ""]
-    shadow_rays: Int[Array, ""]
+    rays: Rays
+
+    @property
+    def shadow_rays(self) -> Int[Array, ""]:
+        """Shadow rays to all lights."""
+        return jnp.sum(self.rays.shadow, dtype=jnp.int32)
 
 
 @partial(jax.jit, static_argnames=("tracer", "config"))
@@ -85,24 +90,25 @@ def raster(
     bands = -(-height // rows)
     rows = -(-height // bands)  # as equal as they can be
 
-    def band(first_row: Int[Array, ""]) -> tuple[Float[Array, "r w 3"], GBuffer, Array]:
+    def band(first_row: Int[Array, ""]) -> tuple[Float[Array, "r w 3"], GBuffer, Rays]:
         return _band(
             scene, inputs, params, first_row, rows, tracer=tracer, config=config
         )
 
     if bands == 1:
-        color, gbuffer, shadow_rays = band(jnp.zeros((), jnp.int32))
+        color, gbuffer, rays = band(jnp.zeros((), jnp.int32))
     else:
         first_rows = jnp.arange(bands, dtype=jnp.int32) * rows
-        color, gbuffer, shadow_rays = jax.lax.map(band, first_rows)
+        color, gbuffer, rays = jax.lax.map(band, first_rows)
         color, gbuffer = jax.tree.map(
             lambda x: x.reshape(bands * rows, *x.shape[2:])[:height], (color, gbuffer)
         )
+        rays = jax.tree.map(lambda x: jnp.sum(x, axis=0, dtype=jnp.int32), rays)
     return RasterOutput(
         color=color,
         gbuffer=gbuffer,
         primary_rays=jnp.asarray(height * width, jnp.int32),
-        shadow_rays=jnp.sum(shadow_rays, dtype=jnp.int32),
+        rays=rays,
     )
 
 
@@ -115,7 +121,7 @@ def _band(
     *,
     tracer: embree.Tracer,
     config: Config,
-) -> tuple[Float[Array, "r w 3"], GBuffer, Int[Array, ""]]:
+) -> tuple[Float[Array, "r w 3"], GBuffer, Rays]:
     """Draws some rows of the image; those below its last are sky, and cost nothing."""
     size = config.size
     tile = (rows, size[1])
@@ -127,28 +133,23 @@ def _band(
     if size[0] % rows:
         direction = vector.select(y_px < size[0], direction, jnp.nan)
     direction = vector.materialize(direction)
-    direction_array = vector.stack(direction)
-    eye = vector.stack(cameras.position(inputs.camera))
-    hits = embree.intersect(
-        tracer,
-        inputs.world_from_group,
-        jnp.broadcast_to(eye[None, :], direction_array.shape),
-        direction_array,
-        tile=tile,
-    )
     steps = cameras.direction_steps(inputs.camera, size[0]) if config.mip_maps else None
-    shaded = shading.radiance(
+    traced = transport.trace(
         scene,
         tracer,
         inputs.world_from_group,
+        cameras.position(inputs.camera),
         direction,
-        hits,
         steps,
         params.mip_bias,
         config=config.shading,
         tile=tile,
     )
-    surface = shaded.surface
+    hits, surface = traced.shown, traced.surface
+    if config.shading.transparency and tracer.clear is not None:
+        surface = interpolate(
+            scene.geometry, inputs.world_from_group, hits, direction, None
+        )
     motion_x, motion_y, motion_valid = _motion(
         scene, inputs, direction, (x_px, y_px), hits, surface, size
     )
@@ -163,7 +164,7 @@ def _band(
         object=jnp.where(surface.hit, surface.object, -1).reshape(tile),
         material=jnp.where(surface.hit, surface.material, -1).reshape(tile),
     )
-    return vector.stack(shaded.color).reshape(*tile, 3), gbuffer, shaded.shadow_rays
+    return vector.stack(traced.color).reshape(*tile, 3), gbuffer, traced.rays
 
 
 def _motion(

@@ -41,6 +41,7 @@ class MaterialSource:
     normal_scale: float = 1.0
     alpha_mode: str = "OPAQUE"  # OPAQUE, MASK or BLEND
     alpha_cutoff: float = 0.5
+    transmission: float = 0.0  # of the diffuse part, let through
     double_sided: bool = False
     base_color_texture: int = types.NO_TEXTURE  # index into SceneSource.textures
     metallic_roughness_texture: int = types.NO_TEXTURE
@@ -122,8 +123,8 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
     """Packs a description into the arrays that shading and tracing read.
 
     Triangles without area or with corners that are not finite are left out; missing,
-    zero or non-finite normals are replaced by the triangle's own. A BLEND material is
-    packed as a mask with cutoff 0.5.
+    zero or non-finite normals are replaced by the triangle's own. A BLEND material
+    that is opaque everywhere is packed as opaque.
 
     Args:
         source: what a reader found. Its lights may be empty.
@@ -162,7 +163,7 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
     sky = source.sky or SkySource(black, black, black)
     scene = types.Scene(
         geometry=geometry,
-        materials=_pack_materials(source.materials),
+        materials=_pack_materials(source.materials, source.textures),
         textures=_pack_textures(source.textures),
         lights=pack_lights(source.lights),
         sky=pack_sky(sky, 1.0),
@@ -430,30 +431,67 @@ def _unindexed(
     return corners[keep], normals, uv, len(keep) - count
 
 
-def _pack_materials(materials: list[MaterialSource]) -> types.Materials:
+# Perceptual roughness below which a surface mirrors: our choice. At 0.05 GGX's lobe is
+# narrower than a pixel of a 640-pixel image; by 0.08 it spreads over several.
+MIRROR_ROUGHNESS = 0.08
+_MIRROR_SHARE = 0.01  # our choice: of the texels; a stray one calls for nothing
+
+
+def _shows_through(material: MaterialSource, textures: list[TextureSource]) -> bool:
+    """Returns whether a material lets anything through, at any texel."""
+    if material.alpha_mode == "MASK":
+        return False
+    if material.transmission > 0.0:
+        return True
+    if material.alpha_mode != "BLEND":
+        return False
+    texture = material.base_color_texture
+    if material.base_color[3] < 1.0 or texture == types.NO_TEXTURE:
+        return material.base_color[3] < 1.0
+    return bool(np.any(textures[texture].texels[..., 3] < 255))
+
+
+def _mirrors(material: MaterialSource, textures: list[TextureSource]) -> bool:
+    """Returns whether a material's smooth texels call for reflection rays.
+
+    A cut-out does not: it is a leaf or a chain.
+    """
+    if material.alpha_mode == "MASK":
+        return False
+    if material.roughness < MIRROR_ROUGHNESS:
+        return True
+    texture = material.metallic_roughness_texture
+    if texture == types.NO_TEXTURE:
+        return False
+    green = textures[texture].texels[..., 1]
+    smooth = green < MIRROR_ROUGHNESS / material.roughness * 255.0
+    return float(np.mean(smooth)) > _MIRROR_SHARE
+
+
+def _pack_materials(
+    materials: list[MaterialSource], textures: list[TextureSource]
+) -> types.Materials:
     def floats(values: list[Any]) -> jnp.ndarray:
         return jnp.asarray(np.array(values, np.float32))
 
     def ids(values: list[int]) -> jnp.ndarray:
         return jnp.asarray(np.array(values, np.int32))
 
-    blended = [m.alpha_mode == "BLEND" for m in materials]
+    def flags(values: list[bool]) -> jnp.ndarray:
+        return jnp.asarray(np.array(values, bool))
+
     return types.Materials(
         base_color=floats([m.base_color for m in materials]),
         metallic=floats([m.metallic for m in materials]),
         roughness=floats([m.roughness for m in materials]),
         emissive=floats([m.emissive for m in materials]),
         normal_scale=floats([m.normal_scale for m in materials]),
-        alpha_cutoff=floats(
-            [
-                0.5 if blend else m.alpha_cutoff
-                for m, blend in zip(materials, blended, strict=True)
-            ]
-        ),
-        alpha_masked=jnp.asarray(
-            np.array([m.alpha_mode in ("MASK", "BLEND") for m in materials], bool)
-        ),
-        double_sided=jnp.asarray(np.array([m.double_sided for m in materials], bool)),
+        alpha_cutoff=floats([m.alpha_cutoff for m in materials]),
+        alpha_masked=flags([m.alpha_mode == "MASK" for m in materials]),
+        blended=flags([_shows_through(m, textures) for m in materials]),
+        transmission=floats([m.transmission for m in materials]),
+        mirror=flags([_mirrors(m, textures) for m in materials]),
+        double_sided=flags([m.double_sided for m in materials]),
         base_color_texture=ids([m.base_color_texture for m in materials]),
         metallic_roughness_texture=ids(
             [m.metallic_roughness_texture for m in materials]

@@ -60,6 +60,9 @@ class Materials(eqx.Module):
     normal_scale: Float[Array, " m"]
     alpha_cutoff: Float[Array, " m"]
     alpha_masked: Bool[Array, " m"]
+    blended: Bool[Array, " m"]  # something shows through: alpha below 1, transmission
+    transmission: Float[Array, " m"]  # KHR_materials_transmission's factor
+    mirror: Bool[Array, " m"]  # smooth enough, somewhere, for a reflection ray
     double_sided: Bool[Array, " m"]
     base_color_texture: Int[Array, " m"]
     metallic_roughness_texture: Int[Array, " m"]
@@ -132,6 +135,14 @@ class FrameInputs(eqx.Module):
     previous_world_from_group: Float[Array, "g 3 4"]
     jitter: Float[Array, " 2"]  # pixels from the pixel centre, x right, y down
     cut: Bool[Array, ""]  # True: nothing of the history may be used
+
+
+class Rays(eqx.Module):
+    """Secondary rays that shading cast."""
+
+    shadow: Int[Array, " l"]  # by light
+    reflection: Int[Array, ""]
+    layer: Int[Array, ""]  # on through transparent surfaces, to the eye or to a light
 
 
 class Hits(eqx.Module):

@@ -14,7 +14,7 @@ import numpy as np
 
 from ataa_jax.gltf import meshes
 from ataa_jax.gltf.animation import read_animation
-from ataa_jax.gltf.container import Container, open_container, short
+from ataa_jax.gltf.container import Container, open_container
 from ataa_jax.gltf.materials import Materials, read_materials
 from ataa_jax.gltf.nodes import (
     STATIC,
@@ -104,17 +104,6 @@ class _Builder:
             container.warn(
                 "skinned meshes stand still, in their pose of t = 0: "
                 f"{skinned} triangles"
-            )
-        used = {mesh.material for mesh in self.meshes}
-        blended = [
-            short(source.name)
-            for index, source in enumerate(self._materials.sources)
-            if source.alpha_mode == "BLEND" and index in used
-        ]
-        if blended:
-            container.warn(
-                "blended materials are drawn where alpha >= 0.5, skipped elsewhere: "
-                + ", ".join(dict.fromkeys(blended))
             )
 
     def _add(self, index: int) -> int:
