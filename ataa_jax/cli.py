@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import compare, world
+    from ataa_jax import compare, paths, world
 
 MAX_SIDE = 16384
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
@@ -76,7 +76,8 @@ CameraOption = Annotated[
     typer.Option(
         metavar="NAME|FILE",
         help="A camera of the scene, a kind of path (still, pan, orbit, dolly, walk), "
-        "CAMERA:KIND, or a TOML file as in data/. A walk by default.",
+        "CAMERA:KIND, or a TOML file as in data/. A walk by default. The exact name of "
+        "a camera comes first; CAMERA:KIND splits at the last colon.",
     ),
 ]
 Motion = Annotated[
@@ -159,10 +160,13 @@ def info(
         loaded = worlds.load(scene)
     source, console = loaded.source, Console(highlight=False)
     triangles = sum(len(mesh.triangles) for mesh in source.meshes)
+    objects = f"{len(source.meshes):,}"
+    if (source.distinct_meshes or len(source.meshes)) != len(source.meshes):
+        objects += f", instances of {source.distinct_meshes:,} meshes"
     moving = f"{source.duration:.2f} s, loops" if source.duration else "none"
     facts = [
         ("Triangles", f"{triangles:,}"),
-        ("Objects", f"{len(source.meshes):,}"),
+        ("Objects", objects),
         ("Materials", f"{len(source.materials):,}"),
         ("Textures", f"{len(source.textures):,}"),
         ("Rigid groups", f"{len(source.group_names):,}"),
@@ -233,7 +237,11 @@ def run(
     if any(row[1] for row in rows):
         console.print(_table(heads, rows[:_SHOWN_ROWS]))
     _notes(console, shot.world.notes)
-    console.print(f"\nWrote {final}: frames/, video.mp4, statistics.csv, timings.csv")
+    _wrote(
+        console,
+        final,
+        "frames/ mask/ why/ exr/ video.mp4 statistics.csv timings.csv",
+    )
 
 
 @app.command(name="compare")
@@ -283,13 +291,11 @@ def bench(
     place = out or Path("out") / f"{_stem(scene)}-bench"
     with _output(place) as (folder, final):
         from ataa_jax import bench as benchmark
-        from ataa_jax import files, paths
-        from ataa_jax import world as worlds
+        from ataa_jax import files
 
-        name = paths.load(camera).camera if camera else None
         with _progress() as report:
             report("loading the scene", 0, 2)
-            loaded = worlds.load(scene, camera=name)
+            loaded, _ = _load(scene, camera)
             report("measuring", 1, 2)
             rows = benchmark.run(
                 loaded, extent, camera, 0.5 if budget is None else budget
@@ -334,10 +340,26 @@ def _compare(
     console = Console(soft_wrap=True, highlight=False)
     Console(highlight=False).print(report.terminal(result))
     _notes(console, result.notes)
-    console.print(
-        f"\nWrote {final}: index.html, strip.png, hero.png, scores.csv, frames.csv, "
-        "plots/, frames/, mask/, why/, timings.csv"
+    _wrote(
+        console,
+        final,
+        "index.html strip.png hero.png scores.csv frames.csv plots/ frames/ mask/ why/ "
+        "timings.csv",
     )
+
+
+def _load(
+    scene: str, camera: str | None, motion: str | None = None
+) -> tuple["world.World", "paths.CameraPath"]:
+    """Loads a scene, lit and exposed for the camera at which the path starts."""
+    from ataa_jax import paths
+    from ataa_jax import world as worlds
+
+    text = camera or "walk"
+    paths.load(text, motion)  # so that a mistake is told before a long read
+    source = worlds.read(scene)
+    path = paths.load(text, motion, [known.name for known in source.cameras])
+    return worlds.prepare(source, camera=path.camera), path
 
 
 def _prepare(
@@ -350,17 +372,16 @@ def _prepare(
     options: dict[str, Any],
 ) -> tuple["world.Sequence", "compare.Options"]:
     """Loads everything that a sequence needs, and checks it before any frame."""
-    from ataa_jax import compare, parameters, paths, pipeline
+    from ataa_jax import compare, parameters, pipeline
     from ataa_jax import world as worlds
 
-    path = paths.load(camera or "walk", motion)
     given = options.pop("budget", None)
     budget = 0.5 if given is None else given
     if not budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
     table = parameters.read(params) if params is not None else {}
     report("loading the scene", 0, 1)
-    loaded = worlds.load(scene, camera=path.camera)
+    loaded, path = _load(scene, camera, motion)
     if table:
         _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"
@@ -433,6 +454,12 @@ def _table(
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _wrote(console: Console, final: Path, names: str) -> None:
+    """Tells which of the named files and folders lie in the output folder."""
+    there = ", ".join(name for name in names.split() if (final / name).exists())
+    console.print(f"\nWrote {final}: {there}", markup=False)
 
 
 def _vector(values: Any) -> str:

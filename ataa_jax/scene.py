@@ -4,6 +4,7 @@ Readers (`gltf`, `builtin`, the mesh formats below) produce a `SceneSource` of p
 NumPy records; `pack` turns it into a `types.Scene`. Nothing here traces a ray.
 """
 
+import io
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -13,6 +14,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from PIL import Image
+from trimesh.resolvers import FilePathResolver
 from trimesh.visual import ColorVisuals
 
 from ataa_jax import mipmap, types
@@ -116,6 +119,7 @@ class SceneSource:
     )  # seconds -> float32 (g, 3, 4) world_from_group; [0] is always identity
     duration: float = 0.0  # seconds of authored animation; it loops; 0: nothing moves
     warnings: list[str] = field(default_factory=list)
+    distinct_meshes: int | None = None  # fewer than `meshes` where objects share one
 
 
 def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
@@ -275,6 +279,11 @@ def load_mesh(path: str | Path) -> SceneSource:
             triangles.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InputError(
+            f"scene {path} is a folder; give the path of a file in it: .glb, .gltf, or "
+            "a mesh such as .obj, .ply or .stl"
+        )
     if not path.is_file():
         raise InputError(f"scene {path} does not exist; give the path of a file")
     suffix = path.suffix.lower().lstrip(".")
@@ -285,8 +294,9 @@ def load_mesh(path: str | Path) -> SceneSource:
             f"and {', '.join('.' + name for name in sorted(known))}"
         )
     try:
+        companions = _Companions(str(path))
         # Not processed: trimesh would drop vertices that are not numbers unseen.
-        loaded = trimesh.load_scene(path, process=False)
+        loaded = trimesh.load_scene(path, process=False, resolver=companions)
         placed = _placed(loaded)
     except ImportError:
         raise InputError(
@@ -301,7 +311,7 @@ def load_mesh(path: str | Path) -> SceneSource:
     materials: list[MaterialSource] = []
     textures: list[TextureSource] = []
     meshes: list[MeshSource] = []
-    warnings: list[str] = []
+    warnings = companions.warnings
     for index, (mesh, normal) in enumerate(placed):
         if len(mesh.faces) == 0:
             continue
@@ -323,6 +333,41 @@ def load_mesh(path: str | Path) -> SceneSource:
     if not meshes:
         raise InputError(f"scene {path} holds no triangles; nothing to draw")
     return SceneSource(path.stem, meshes, materials, textures, warnings=warnings)
+
+
+class _Companions(FilePathResolver):
+    """Fetches the files that a mesh file names; trimesh goes on in silence without."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(source)
+        self.warnings: list[str] = []
+
+    def get(self, name: str) -> bytes:
+        """Returns the bytes of a file; warns, once, of one that cannot be used."""
+        try:
+            data = super().get(name)
+        except FileNotFoundError:
+            self._warn(name, "does not exist")
+            raise
+        except ValueError:
+            self._warn(name, "lies outside the scene's folder")
+            raise
+        except OSError:
+            self._warn(name, "cannot be read")
+            raise
+        if Path(name.strip()).suffix.lower() in Image.registered_extensions():
+            try:
+                with Image.open(io.BytesIO(data)) as image:
+                    image.load()
+            except Exception:  # Pillow raises whatever its decoders stumble over
+                self._warn(name, "is no image that can be decoded")
+                raise
+        return data
+
+    def _warn(self, name: str, what: str) -> None:
+        warning = f"the file {name}, which the scene names, {what}: left out"
+        if warning not in self.warnings:
+            self.warnings.append(warning)
 
 
 def _placed(

@@ -270,6 +270,51 @@ def test_malformed_meshes_are_refused_in_one_sentence(tmp_path, name, data):
 
 
 def test_missing_meshes_and_folders_are_refused(tmp_path):
-    for path in (tmp_path, tmp_path / "none.obj"):
-        with pytest.raises(InputError, match="does not exist"):
-            scene.load_mesh(path)
+    with pytest.raises(InputError, match="does not exist"):
+        scene.load_mesh(tmp_path / "none.obj")
+    with pytest.raises(InputError, match=r"is a folder; give the path of a file"):
+        scene.load_mesh(tmp_path)
+
+
+def test_a_missing_material_file_is_warned_of(tmp_path):
+    path = write_obj(tmp_path)
+    assert scene.load_mesh(path).warnings == []
+    (tmp_path / "a.mtl").unlink()
+    (warning,) = scene.load_mesh(path).warnings
+    assert "a.mtl" in warning
+    assert "does not exist" in warning
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "reason"),
+    [
+        ("none.png", None, "does not exist"),
+        ("../up.png", None, "outside"),
+        ("bad.png", b"no picture", "is no image"),
+        ("", b"", "cannot be read"),  # the folder itself
+    ],
+)
+def test_a_texture_that_cannot_be_had_is_warned_of(tmp_path, name, data, reason):
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    Image.new("RGB", (1, 1)).save(tmp_path / "up.png")
+    path = write_obj(folder, f"map_Kd {name or '.'}")
+    if data:
+        (folder / name).write_bytes(data)
+    source = scene.load_mesh(path)
+    (warning,) = source.warnings
+    assert name in warning
+    assert reason in warning
+    assert source.textures == []
+
+
+def test_a_texture_that_breaks_off_is_warned_of(tmp_path):
+    path = write_obj(tmp_path, "map_Kd noise.png")
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    Image.fromarray(noise).save(tmp_path / "noise.png")
+    data = (tmp_path / "noise.png").read_bytes()
+    (tmp_path / "noise.png").write_bytes(data[:2000])
+    source = scene.load_mesh(path)
+    (warning,) = source.warnings
+    assert "noise.png, which the scene names, is no image" in warning
+    assert source.textures == []
