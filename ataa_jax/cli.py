@@ -213,6 +213,11 @@ def run(
     extent = _size(size)
     _at_least("--frames", frames, 1)
     _at_least("--lead-in", lead_in, 0)
+    if "," in method:
+        raise InputError(
+            f"--method of `ataa run` takes one method, not '{method}'; `ataa compare` "
+            "takes several"
+        )
     with _output(out or Path("out") / f"{_stem(scene)}-{method}") as (folder, final):
         from ataa_jax import compare, film
 

@@ -287,11 +287,12 @@ def load_mesh(path: str | Path) -> SceneSource:
     if not path.is_file():
         raise InputError(f"scene {path} does not exist; give the path of a file")
     suffix = path.suffix.lower().lstrip(".")
-    known = trimesh.available_formats()
+    known = {"glb", "gltf", *trimesh.available_formats()}
     if suffix not in known:
+        what = f"the unknown suffix '.{suffix}'" if suffix else "no suffix"
         raise InputError(
-            f"scene {path} has the unknown suffix '.{suffix}'; known are .glb, .gltf "
-            f"and {', '.join('.' + name for name in sorted(known))}"
+            f"scene {path} has {what}; known are "
+            f"{', '.join('.' + name for name in sorted(known))}"
         )
     try:
         companions = _Companions(str(path))

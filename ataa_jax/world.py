@@ -164,6 +164,8 @@ def load(
 
 def read(path: str | Path) -> SceneSource:
     """Reads a scene without making it ready to render; see `load`."""
+    if not str(path):
+        raise InputError("the scene's name is empty; give a file, or 'builtin'")
     if str(path) == BUILTIN:
         return builtin.garden_house()
     if Path(path).suffix.lower() in (".glb", ".gltf"):

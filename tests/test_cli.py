@@ -231,6 +231,8 @@ def test_info_passes_on_what_the_reader_missed(tmp_path, capsys):
         (("run", "SCENE", "--camera", "north"), "no camera 'north'"),
         (("run", "SCENE", "--camera", "north:fly"), "are still, pan, orbit, dolly"),
         (("bench", "SCENE", "--camera", "north:pan"), "no camera 'north'"),
+        (("run", ""), "the scene's name is empty"),
+        (("run", "SCENE", "--method", "taa,fxaa"), "takes one method, not 'taa,fxaa'"),
         (("run", "FOLDER"), "is a folder; give the path of a file"),
         (("run", "SCENE", "--out", "SCENE"), "is a file; give a new or empty folder"),
         (("run", "SCENE", "--camera", "none.toml"), "none.toml cannot be read"),

@@ -259,6 +259,7 @@ def test_vertex_colours_are_averaged_with_a_warning(tmp_path):
         ("a.xyz", b"0 0 0\n1 1 1\n"),  # points, no triangles
         ("a.zip", b"PK"),
         ("a.unknown", b"x"),
+        ("a", b"x"),
     ],
 )
 def test_malformed_meshes_are_refused_in_one_sentence(tmp_path, name, data):
@@ -267,6 +268,15 @@ def test_malformed_meshes_are_refused_in_one_sentence(tmp_path, name, data):
         scene.load_mesh(tmp_path / name)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_a_suffix_is_told_the_known_ones_once(tmp_path):
+    (tmp_path / "a").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"a has no suffix; known are ") as caught:
+        scene.load_mesh(tmp_path / "a")
+    listed = str(caught.value).split("known are ")[1].split(", ")
+    assert {".glb", ".gltf", ".obj", ".ply", ".stl"} <= set(listed)
+    assert len(set(listed)) == len(listed)
 
 
 def test_missing_meshes_and_folders_are_refused(tmp_path):
