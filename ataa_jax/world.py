@@ -16,6 +16,7 @@ from ataa_jax import (
     embree,
     gltf,
     lighting,
+    mesh_files,
     paths,
     raster,
     types,
@@ -170,7 +171,7 @@ def read(path: str | Path) -> SceneSource:
         return builtin.garden_house()
     if Path(path).suffix.lower() in (".glb", ".gltf"):
         return gltf.load(path)
-    return scenes.load_mesh(path)
+    return mesh_files.load(path)
 
 
 def prepare(
