@@ -190,6 +190,33 @@ def test_info_tells_what_is_there_and_why(scene, capsys):
         assert word in out
 
 
+def test_info_shows_names_with_brackets_as_they_are(tmp_path, capsys):
+    writer = triangle_scene()
+    lens = writer.add("cameras", type="perspective", perspective={"yfov": 1})
+    for name in ("[red]", "[/b]"):
+        writer.node(camera=lens, name=name, translation=[0, 0, 5])
+    assert ataa("info", writer.glb(tmp_path / "[bold].glb")) == 0
+    out = capsys.readouterr().out
+    for name in ("[bold]", "[red]", "[/b]"):
+        assert name in out
+
+
+def test_a_run_starts_at_the_camera_that_has_the_exact_name(tmp_path):
+    writer = triangle_scene()
+    lens = writer.add("cameras", type="perspective", perspective={"yfov": 1})
+    writer.node(camera=lens, name="main", translation=[0, 0, 2])
+    writer.node(camera=lens, name="orbit", translation=[0, 0, 40])
+    file = writer.glb(tmp_path / "a.glb")
+    shown = {}
+    for camera in ("main", "orbit", "orbit:still", "main:still"):
+        out = tmp_path / camera.replace(":", "-")
+        arguments = ("--method", "none", "--size", "32x18", "--frames", 1)
+        assert ataa("run", file, *arguments, "--camera", camera, "--out", out) == 0
+        shown[camera] = (out / "frames/0000.png").read_bytes()
+    assert shown["orbit"] == shown["orbit:still"]  # frame 0 of a walk is its start
+    assert shown["main"] == shown["main:still"] != shown["orbit"]
+
+
 def test_info_counts_instances_of_shared_meshes(tmp_path, capsys):
     writer = triangle_scene()
     writer.node(mesh=writer.mesh())

@@ -212,7 +212,7 @@ def bench(
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)
     console.print(terminal.table(("Quantity", "Value", "Unit"), cells, right=(1,)))
-    console.print(f"\nWrote {final / 'bench.csv'}")
+    console.print(f"\nWrote {final / 'bench.csv'}", markup=False)
 
 
 def _compare(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -32,7 +33,7 @@ def describe(loaded: "world.World", looks: "list[effects.Effect]") -> None:
         ("Animation", moving),
         ("Exposure", f"{loaded.exposure:.4g}"),
     ]
-    console.print(f"[bold]{loaded.name}[/bold]")
+    console.print(f"[bold]{escape(loaded.name)}[/bold]")
     console.print(table((), [(name, value) for name, value in facts]))
     console.print("\n[bold]Cameras[/bold]")
     rows = [
@@ -80,7 +81,7 @@ def table(
         side = "right" if index in right else "left"
         drawn.add_column(heads[index] if heads else "", justify=side)
     for row in rows:
-        drawn.add_row(*row)
+        drawn.add_row(*map(escape, row))  # a file's names may hold brackets
     return drawn
 
 
