@@ -39,7 +39,7 @@ def run(
     Returns:
         Name, value and unit of each figure.
     """
-    path = paths.load(camera or "walk")
+    path = paths.load(camera or "walk", cameras=[c.name for c in world.cameras])
     shot = worlds.sequence(world, path, size)
     rows = _trace_rate(shot)
     rows += _frames(shot, budget)

@@ -67,6 +67,7 @@ def load(path: str | Path) -> SceneSource:
         transforms=_transforms(hierarchy, groups) if moving else still_groups(1),
         duration=hierarchy.animation.duration if moving else 0.0,
         warnings=container.warnings,
+        distinct_meshes=builder.distinct_meshes,
     )
 
 
@@ -105,6 +106,11 @@ class _Builder:
                 "skinned meshes stand still, in their pose of t = 0: "
                 f"{skinned} triangles"
             )
+
+    @property
+    def distinct_meshes(self) -> int:
+        """Counts the drawn objects of the file, each once however often it is drawn."""
+        return sum(map(len, self._primitives.values()))
 
     def _add(self, index: int) -> int:
         """Adds a node's mesh; returns how many of its triangles are skinned."""
