@@ -288,7 +288,7 @@ def _temporal_only(
         mask=segmentation.pack_mask(
             jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
         ),
-        why=jnp.zeros(size, jnp.uint8),
+        why=jnp.zeros(size, jnp.uint16),
         score=nothing,
         luminance=nothing,
         depth=nothing,

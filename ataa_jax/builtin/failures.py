@@ -55,7 +55,7 @@ class Case:
     fails: str  # what temporal antialiasing gets wrong
     build: Callable[[], SceneSource]
     path: CameraPath
-    frames: tuple[int, ...] = tuple(range(8))  # the ones that are scored
+    frames: tuple[int, ...] = (1, 3, 5, 7)  # the ones that are scored
     cut: int | None = None  # frame at which the camera jumps
 
 
@@ -70,7 +70,7 @@ def case(letter: str) -> Case:
 def moving_object() -> SceneSource:
     """(a) A crate crosses before a wall at 4 % of the width a frame."""
     p = _palette()
-    _add_texture(p, "crate", _diamonds((0.75, 0.30, 0.16), (0.85, 0.45, 0.25), 2))
+    _add_texture(p, "crate", _diamonds((0.75, 0.30, 0.16), (0.85, 0.42, 0.25), 2))
     crate = box((-0.9, 0.5, -6.2), (0.9, 2.5, -5.6)).tiled(2.0)
     parts = [_wall(-8.0), Part("crate", crate, "crate", "crate")]
     groups = {"crate": (0.04 * _WIDTH * 5.6 * _FPS, 0.0, 0.0)}
@@ -81,7 +81,7 @@ def rotating_camera() -> SceneSource:
     """(b) A round room, of which a turning camera sees a new strip each frame."""
     angle = np.linspace(0.0, 2.0 * np.pi, 97)
     ring = np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=-1) * 9.0
-    points = np.stack([ring + (0.0, 9.0, 0.0), ring - (0.0, 6.0, 0.0)])
+    points = ring[None] + np.array([[[0.0, 9.0, 0.0]], [[0.0, -6.0, 0.0]]])
     around = angle * 9.0
     uv = np.stack(np.broadcast_arrays(around[None], np.array([[0.0], [15.0]])), -1)
     room = shapes.facing(shapes.sheet(points, uv / _repeat(around[-1])), (0, 0, 0))
@@ -94,9 +94,7 @@ def corridor() -> SceneSource:
     depth = near - far
     parts = [
         Part("floor", quad((-x, low, near), (2 * x, 0, 0), (0, 0, -depth)), "floor"),
-        Part(
-            "ceiling", quad((-x, high, far), (2 * x, 0, 0), (0, 0, depth)), "ceiling"
-        ),
+        Part("ceiling", quad((-x, high, far), (2 * x, 0, 0), (0, 0, depth)), "ceiling"),
         Part("left", quad((-x, low, near), (0, 0, -depth), (0, high, 0)), "wall"),
         Part("right", quad((x, low, far), (0, 0, depth), (0, high, 0)), "wall"),
         Part("end", quad((-x, low, far), (2 * x, 0, 0), (0, high, 0)), "accent"),
@@ -119,19 +117,19 @@ def wires() -> SceneSource:
     ]  # fmt: skip
     parts = [
         Part("wire overhead", merge(ropes), "cable"),
-        Part("hill", box((-40.0, -2.0, -41.0), (40.0, 0.6, -40.0)), "hill"),
+        Part("hill", box((-60.0, -60.0, -41.0), (60.0, 0.6, -40.0)), "hill"),
     ]
     source = _source("wires", parts, p)
     return replace(source, sky=_DAY, lights=[_sun((-0.3, -0.8, -0.5))])
 
 
 def fine_material() -> SceneSource:
-    """(e) A carpet whose weave is finer than pixels from 3 m on."""
+    """(e) A carpet whose weave is about a pixel near, and a third of one far."""
     p = Palette()
     _add_texture(p, "carpet", _weave())
-    _add_texture(p, "wall", _diamonds((0.50, 0.55, 0.60), (0.62, 0.67, 0.72), 4))
-    floor = quad((-14.0, 0.0, 3.0), (28.0, 0, 0), (0, 0, -12.0)).tiled(1.0)
-    return _source("carpet", [Part("carpet", floor, "carpet"), _wall(-9.0)], p)
+    floor = quad((-9.0, 0.0, 3.0), (18.0, 0, 0), (0, 0, -18.0)).tiled(1.0)
+    source = _source("carpet", [Part("carpet", floor, "carpet")], p)
+    return replace(source, cameras=[_camera((0.0, 2.2, 0.0), (0.0, 0.0, -2.0))])
 
 
 def transparent_pane() -> SceneSource:
@@ -147,6 +145,8 @@ def transparent_pane() -> SceneSource:
             double_sided=True,
         )
     )
+    # Bold, as only 45 % of it is seen through the pane.
+    _add_texture(p, "poster", _diamonds((0.25, 0.22, 0.20), (0.90, 0.80, 0.55), 2))
     p.plain("frame", (0.05, 0.05, 0.06), 0.6)
     frame = [
         box((-1.55, 0.35, -4.05), (1.55, 0.45, -3.95)),
@@ -156,7 +156,7 @@ def transparent_pane() -> SceneSource:
     ]
     pane = quad((-1.45, 0.45, -4.0), (2.9, 0, 0), (0, 2.1, 0))
     parts = [
-        _wall(-8.0)._replace(group="wall"),
+        Part("poster", _across(-8.0).tiled(4.8), "poster", "wall"),
         Part("frame", merge(frame), "frame"),
         Part("pane", pane, "pane"),
     ]
@@ -172,9 +172,7 @@ def moving_shadow() -> SceneSource:
         Part("floor", floor, "floor"),
         Part("boards", merge(boards), "accent", "boards"),
     ]
-    source = _source(
-        "shadow", parts, p, {"boards": (0.02 * _WIDTH * 4.5 * _FPS, 0, 0)}
-    )
+    source = _source("shadow", parts, p, {"boards": (0.02 * _WIDTH * 4.5 * _FPS, 0, 0)})
     camera = _camera((0.0, 2.6, 0.5), (0.0, 0.0, -3.6))
     return replace(
         source,
@@ -189,7 +187,7 @@ def moving_reflection() -> SceneSource:
     p = _palette()
     p.plain("mirror", (0.92, 0.92, 0.92), 0.0, metallic=1.0)
     p.plain("frame", (0.30, 0.20, 0.10), 0.7)
-    _add_texture(p, "crate", _diamonds((0.75, 0.16, 0.10), (0.90, 0.45, 0.25), 2))
+    _add_texture(p, "crate", _diamonds((0.72, 0.16, 0.10), (0.85, 0.32, 0.18), 2))
     mirror = quad((-2.6, 0.5, -6.0), (5.2, 0, 0), (0, 2.2, 0))
     frame = box((-2.75, 0.35, -6.2), (2.75, 2.85, -6.01))
     back = quad((16.0, -6.0, 6.0), (-32.0, 0, 0), (0, 16.0, 0)).tiled(2.4)
@@ -248,7 +246,9 @@ CASES = (
         "backward translation",
         "the rim that comes into view was never seen",
         corridor,
-        CameraPath("dolly", motion=-0.02, fps=_FPS),
+        # At twice the speed the walls beside the camera are a tenth farther each frame,
+        # and the depth that was seen in their place counts as something nearer.
+        CameraPath("dolly", motion=-0.01, fps=_FPS),
     ),
     Case(
         "d",
@@ -300,7 +300,7 @@ CASES = (
                 Keyframe(_CUT + 8.0, (0.0, 1.5, 0.0), _BACK),
             ),
         ),
-        frames=(_CUT, _CUT + 1),
+        frames=(_CUT,),
         cut=_CUT,
     ),
 )
@@ -335,9 +335,7 @@ def _source(
         meshes=[_mesh(part, palette, groups) for part in parts],
         materials=palette.materials,
         textures=palette.textures,
-        lights=[
-            LightSource(LIGHT_POINT, intensity=(90.0, 88.0, 82.0), position=_EYE)
-        ],
+        lights=[LightSource(LIGHT_POINT, intensity=(90.0, 88.0, 82.0), position=_EYE)],
         cameras=[_camera(_EYE, (0.0, 1.5, -1.0))],
         sky=_AMBIENT,
         group_names=groups,
@@ -379,12 +377,16 @@ def _across(z: float) -> Shape:
 
 
 def _palette() -> Palette:
-    """Returns the coarse patterns that all scenes share."""
+    """Returns the coarse patterns that all scenes share.
+
+    Of so little contrast that jitter at their edges changes a 3×3 mean by less than
+    the luminance criterion asks for: what it finds is the scene's own failure.
+    """
     p = Palette()
-    _add_texture(p, "wall", _diamonds((0.38, 0.48, 0.58), (0.62, 0.72, 0.80), 2))
-    _add_texture(p, "floor", _diamonds((0.55, 0.44, 0.32), (0.74, 0.64, 0.50), 2))
-    _add_texture(p, "ceiling", _diamonds((0.72, 0.72, 0.70), (0.80, 0.80, 0.78), 2))
-    _add_texture(p, "accent", _diamonds((0.62, 0.34, 0.24), (0.80, 0.56, 0.36), 2))
+    _add_texture(p, "wall", _diamonds((0.48, 0.56, 0.64), (0.60, 0.68, 0.75), 2))
+    _add_texture(p, "floor", _diamonds((0.58, 0.50, 0.40), (0.70, 0.62, 0.50), 2))
+    _add_texture(p, "ceiling", _diamonds((0.66, 0.66, 0.64), (0.76, 0.76, 0.74), 2))
+    _add_texture(p, "accent", _diamonds((0.66, 0.42, 0.30), (0.78, 0.54, 0.38), 2))
     return p
 
 
@@ -412,17 +414,14 @@ def _diamonds(dark: images.Color, light: images.Color, cells: int) -> np.ndarray
 
 
 def _weave() -> np.ndarray:
-    """Returns threads of 1/40 of the repeat, light across dark, with a coarse pattern.
-
-    The pattern, three times as large as the threads are fine, stays visible from afar.
-    """
-    size = 320
+    """Returns 48 pairs of threads a repeat, light and dark, in broad coloured bands."""
+    size, thread = 480, 5
     y, x = np.mgrid[:size, :size]
-    thread = ((x // 4 + y // 4) % 2).astype(float)
-    stripe = 0.5 + 0.5 * np.sin(2.0 * np.pi * x / size)
-    dark = images.tint(stripe, (0.05, 0.10, 0.22), (0.30, 0.06, 0.08))
-    light = np.array([0.95, 0.92, 0.85])
-    return dark + (light - dark) * thread[..., None]
+    woven = ((x // thread + y // thread) % 2).astype(float)
+    band = 0.5 + 0.5 * np.sin(2.0 * np.pi * (x + 0.5) / size)
+    dark = images.tint(band, (0.20, 0.26, 0.42), (0.46, 0.22, 0.22))
+    light = images.tint(band, (0.60, 0.66, 0.80), (0.84, 0.62, 0.58))
+    return dark + (light - dark) * woven[..., None]
 
 
 def _repeat(around: float) -> float:
