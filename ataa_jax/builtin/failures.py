@@ -84,26 +84,14 @@ def rotating_camera() -> SceneSource:
     points = ring[None] + np.array([[[0.0, 9.0, 0.0]], [[0.0, -6.0, 0.0]]])
     around = angle * 9.0
     uv = np.stack(np.broadcast_arrays(around[None], np.array([[0.0], [15.0]])), -1)
-    room = shapes.facing(shapes.sheet(points, uv / _repeat(around[-1])), (0, 0, 0))
-    return _source("round room", [Part("round wall", room, "wall")], _palette())
+    room = shapes.facing(shapes.sheet(points, uv / _repeat(around[-1], 4.8)), (0, 0, 0))
+    return _source("round room", [Part("round wall", room, "bold wall")], _palette())
 
 
-def corridor() -> SceneSource:
-    """(c) A corridor, from which the camera steps backward."""
-    x, low, high, near, far = 1.9, 0.0, 2.9, 14.0, -9.0
-    depth = near - far
-    parts = [
-        Part("floor", quad((-x, low, near), (2 * x, 0, 0), (0, 0, -depth)), "floor"),
-        Part("ceiling", quad((-x, high, far), (2 * x, 0, 0), (0, 0, depth)), "ceiling"),
-        Part("left", quad((-x, low, near), (0, 0, -depth), (0, high, 0)), "wall"),
-        Part("right", quad((x, low, far), (0, 0, depth), (0, high, 0)), "wall"),
-        Part("end", quad((-x, low, far), (2 * x, 0, 0), (0, high, 0)), "accent"),
-    ]
-    tiled = [part._replace(shape=part.shape.tiled(2.4)) for part in parts]
-    source = _source("corridor", tiled, _palette())
-    # Behind the camera all along: beside it the walls would be too bright.
-    lamp = replace(source.lights[0], position=(0.0, 1.5, 5.0), intensity=(200.0,) * 3)
-    return replace(source, lights=[lamp])
+def backward_step() -> SceneSource:
+    """(c) A flat wall, from which the camera steps backward."""
+    parts = [Part("bold wall", _across(-7.0).tiled(4.8), "bold wall")]
+    return _source("flat wall", parts, _palette())
 
 
 def wires() -> SceneSource:
@@ -220,12 +208,12 @@ def moving_reflection() -> SceneSource:
 def camera_cut() -> SceneSource:
     """(i) Two ends of a room; the camera jumps from one view to the other."""
     p = _palette()
-    back = quad((16.0, -6.0, 8.0), (-32.0, 0, 0), (0, 16.0, 0)).tiled(2.4)
+    back = quad((16.0, -6.0, 8.0), (-32.0, 0, 0), (0, 16.0, 0)).tiled(4.8)
     column = box((-2.2, -6.0, 5.0), (-1.4, 9.0, 5.6)).tiled(1.2)
     crate = box((-1.2, 0.2, -6.2), (1.2, 2.4, -5.2)).tiled(1.2)
     parts = [
         _wall(-8.0),
-        Part("back wall", back, "floor"),
+        Part("back wall", back, "bold wall"),
         Part("column", column, "accent"),
         Part("crate", crate, "accent"),
     ]
@@ -254,10 +242,10 @@ CASES = (
         "c",
         "backward translation",
         "the rim that comes into view was never seen",
-        corridor,
-        # At twice the speed the walls beside the camera are a tenth farther each frame,
-        # and the depth that was seen in their place counts as something nearer.
-        CameraPath("dolly", motion=-0.01, fps=_FPS),
+        backward_step,
+        # Under a tenth of the wall's distance a frame: beyond that, what was seen in a
+        # point's place counts as something nearer, though it was the point itself.
+        CameraPath("dolly", motion=-0.02, fps=_FPS),
     ),
     Case(
         "d",
@@ -394,8 +382,10 @@ def _palette() -> Palette:
     p = Palette()
     _add_texture(p, "wall", _diamonds((0.40, 0.47, 0.54), (0.60, 0.67, 0.74), 2))
     _add_texture(p, "floor", _diamonds((0.50, 0.42, 0.33), (0.72, 0.63, 0.50), 2))
-    _add_texture(p, "ceiling", _diamonds((0.56, 0.56, 0.55), (0.76, 0.76, 0.74), 2))
     _add_texture(p, "accent", _diamonds((0.56, 0.36, 0.26), (0.78, 0.54, 0.38), 2))
+    # Where aliasing itself is the failure: sharper, bolder, with fewer edges.
+    bold = _diamonds((0.30, 0.34, 0.42), (0.70, 0.76, 0.80), 2, size=1024)
+    _add_texture(p, "bold wall", bold)
     return p
 
 
@@ -411,9 +401,10 @@ def _add_texture(p: Palette, name: str, image: np.ndarray) -> None:
     )
 
 
-def _diamonds(dark: images.Color, light: images.Color, cells: int) -> np.ndarray:
+def _diamonds(
+    dark: images.Color, light: images.Color, cells: int, size: int = 256
+) -> np.ndarray:
     """Returns a slanted checker, whose edges lie on no row or column of pixels."""
-    size = 256
     y, x = (np.mgrid[:size, :size] + 0.5) / size * cells
     # Slopes of 1 : 2 and 2 : 1 repeat with the texture.
     a, b = np.sin(np.pi * (2.0 * x + y)), np.sin(np.pi * (x - 2.0 * y))
@@ -433,6 +424,6 @@ def _weave() -> np.ndarray:
     return dark + (light - dark) * woven[..., None]
 
 
-def _repeat(around: float) -> float:
+def _repeat(around: float, about: float) -> float:
     """Returns a texture's size that fits a circumference a whole number of times."""
-    return around / max(round(around / 2.4), 1)
+    return around / max(round(around / about), 1)
