@@ -248,8 +248,8 @@ def plot(table: list[list[object]], file: Path) -> None:
 
 
 def sheet(results: list[Result], file: Path) -> None:
-    """Draws per case the reference, TAA, ATAA, the mask and the oracle's."""
-    width, gap, head = 208, 4, 16
+    """Draws per case the reference (under its name), TAA, ATAA and both masks."""
+    width, gap, head = 192, 4, 16
     height = width * 9 // 16
     columns = ("reference", "TAA", "ATAA 8x", "mask", "TAA visibly wrong")
     page = Sheet(
@@ -276,7 +276,7 @@ def sheet(results: list[Result], file: Path) -> None:
             x = column * (width + gap)
             text = columns[column]
             if column == 0:
-                text = f"({result.case.letter}) {result.case.name}: {text}"
+                text = f"({result.case.letter}) {result.case.name}"
             page.text(x, top + 1, text, size=11, bold=column == 0)
             page.paste(fit(picture, width), x, top + head)
     files.write_bytes(file, _small_png(page))
