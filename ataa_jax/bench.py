@@ -63,7 +63,9 @@ def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> Row:
 
 def _peak_of_frames(scene: str, size: tuple[int, int]) -> int:
     shot = worlds.shot(worlds.load(scene), "walk", size)
-    config, params = pipeline.preset("tuned", shot.world.scene, size)
+    config, params = pipeline.preset(
+        "tuned", shot.world.scene, size, selection=shot.effects
+    )
     for output, _ in pipeline.sequence(shot, params, config=config, frames=2):
         jax.block_until_ready(output)
     return compare.peak_memory()
@@ -123,8 +125,9 @@ def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
     """An ATAA 8x frame that spends its whole budget, by stages, against SSAA 8x."""
     world = shot.world
     config, params = pipeline.preset(
-        "tuned", world.scene, shot.size, samples=8, budget=budget
-    )
+        "tuned", world.scene, shot.size, samples=8, budget=budget,
+        selection=shot.effects,
+    )  # fmt: skip
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )

@@ -248,7 +248,9 @@ class _Plain(Runner):
 
     def __init__(self, name: str, shot: Sequence, *, filtered: bool) -> None:
         super().__init__(name)
-        config, params = pipeline.preset("ue4", shot.world.scene, shot.size)
+        config, params = pipeline.preset(
+            "ue4", shot.world.scene, shot.size, selection=shot.effects
+        )
         self.config = config
         self.params = params
         self.filtered = filtered
@@ -284,7 +286,12 @@ class _Adaptive(Runner):
         super().__init__(name)
         budget = options.budget if samples else 0.0
         self.config, self.params = pipeline.preset(
-            preset, shot.world.scene, shot.size, samples=samples or 2, budget=budget
+            preset,
+            shot.world.scene,
+            shot.size,
+            samples=samples or 2,
+            budget=budget,
+            selection=shot.effects,
         )
         if options.params is not None and preset == "tuned":
             self.params = pipeline.with_budget(options.params, budget)
@@ -389,7 +396,10 @@ def _score(
     truth = images[REFERENCE]
     # Crossed: some of the reference's samples met a thin feature, and some did not.
     crossed = (thin > 0.0) & (thin < 1.0)
-    config, params = pipeline.preset("ue4", drawer.shot.world.scene, result.size)
+    shot = drawer.shot
+    config, params = pipeline.preset(
+        "ue4", shot.world.scene, result.size, selection=shot.effects
+    )
     centred, _, _ = drawer.draw(config.raster, params.raster, None)
     motion = np.asarray(centred.gbuffer.motion)
     valid = np.asarray(centred.gbuffer.motion_valid)

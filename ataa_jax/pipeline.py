@@ -125,6 +125,7 @@ def preset(
     *,
     samples: int = 8,
     budget: float = 0.5,
+    selection: effects.Selection | None = None,
 ) -> tuple[Config, Params]:
     """Returns configuration and parameters for a scene.
 
@@ -135,6 +136,8 @@ def preset(
         samples: rays a traced pixel: 2, 4 or 8.
         budget: sparse primary rays a pixel of the frame, averaged over it; the paper's
             8x stays under 0.5. inf: no cap.
+        selection: effects to compile for, such as `Sequence.effects`; by default what
+            the scene calls for, in any motion.
 
     Raises:
         InputError: unknown preset, or values out of range.
@@ -148,11 +151,16 @@ def preset(
     if not budget >= 0.0:
         raise InputError(f"a ray budget must be at least 0 rays a pixel, not {budget}")
     taa_config, taa_params = taa.PRESETS[name]
-    shading = effects.required(scene)
+    chosen = selection or effects.Selection(effects.required(scene))
     config = Config(
-        raster=raster.Config(size=size, shading=shading),
+        raster=raster.Config(
+            size=size,
+            shading=chosen.shading,
+            camera_motion=chosen.camera_motion,
+            object_motion=chosen.object_motion,
+        ),
         taa=taa_config,
-        raytrace=raytrace.Config(samples=samples, shading=shading),
+        raytrace=raytrace.Config(samples=samples, shading=chosen.shading),
     )
     params = Params(
         raster=raster.default_params(MIP_BIAS[name]),

@@ -34,6 +34,8 @@ class Config:
     """Choices that change the program."""
 
     size: tuple[int, int] = (360, 640)  # rows, columns
+    camera_motion: bool = True  # False: the camera stands still; see `effects`
+    object_motion: bool = True  # False: no rigid group moves
     mip_maps: bool = True  # False: level 0 everywhere, as the reference and SSAA read
     shading: ShadingConfig = field(default_factory=ShadingConfig)
 
@@ -150,9 +152,13 @@ def _band(
         surface = interpolate(
             scene.geometry, inputs.world_from_group, hits, direction, None
         )
-    motion_x, motion_y, motion_valid = _motion(
-        scene, inputs, direction, (x_px, y_px), hits, surface, size
-    )
+    if config.camera_motion or config.object_motion:
+        motion_x, motion_y, motion_valid = _motion(
+            scene, inputs, direction, (x_px, y_px), hits, surface, size
+        )
+    else:
+        motion_x = motion_y = jnp.zeros_like(x_px)
+        motion_valid = jnp.ones(x_px.shape, jnp.bool_)
     motion = jnp.stack([motion_x, motion_y], axis=-1)
     normal = vector.stack(vector.select(surface.hit, surface.normal, 0.0))
     depth = jnp.where(surface.hit, hits.distance, jnp.inf)

@@ -24,7 +24,6 @@ from jaxtyping import Array, Bool, Float
 
 from ataa_jax import (
     camera,
-    effects,
     embree,
     layers,
     raster,
@@ -92,9 +91,7 @@ def supersample(
     Returns:
         Colour and thin coverage.
     """
-    config = raster.Config(
-        size=size, mip_maps=False, shading=effects.required(world.scene)
-    )
+    config = raster.Config(size=size, mip_maps=False, shading=world.shading)
     thin = jnp.asarray(thin_objects(world.source))
     total = jnp.zeros((*size, 3), jnp.float32), jnp.zeros(size, jnp.float32)
     for offset in offsets_px:

@@ -246,6 +246,7 @@ def pack_lights(lights: list[LightSource]) -> types.Lights:
         range=floats([x.range for x in lights]),
         cos_inner=floats([np.cos(x.inner_cone_angle) for x in lights]),
         cos_outer=floats([np.cos(x.outer_cone_angle) for x in lights]),
+        casts=jnp.ones((len(lights),), jnp.bool_),
     )
 
 

@@ -384,21 +384,22 @@ def _direct(
         lit = surface.hit & (cos_light > 0.0) & (cos_geometric > 0.0)
         lit = lit & (vector.largest(irradiance) > 0.0)
         if config.shadows:
+            tested = lit & light.casts
             shadowed = embree.occluded(
                 tracer,
                 world_from_group,
                 start_array,
                 vector.stack(toward),
                 distance,
-                lit,
+                tested,
                 tile=tile,
             )
-            shadow_rays = jnp.sum(lit, dtype=jnp.int32)
+            shadow_rays = jnp.sum(tested, dtype=jnp.int32)
             lit = lit & ~shadowed
             if config.transparency and tracer.clear is not None:
                 passed, rays = _through_layers(
                     scene, tracer.clear, world_from_group, start, toward, distance,
-                    lit, tile, config,
+                    lit & light.casts, tile, config,
                 )  # fmt: skip
                 irradiance = irradiance * passed
                 layer_rays = layer_rays + rays

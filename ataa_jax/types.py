@@ -102,6 +102,7 @@ class Lights(eqx.Module):
     range: Float[Array, " l"]  # scene units; inf: no cut-off
     cos_inner: Float[Array, " l"]  # spot cone; ignored for other kinds
     cos_outer: Float[Array, " l"]
+    casts: Bool[Array, " l"]  # shadows; False: the light passes through everything
 
 
 class Sky(eqx.Module):

@@ -155,13 +155,25 @@ def test_a_texture_that_is_not_there_is_refused():
         scene.pack(lone(finish=scene.MaterialSource(base_color_texture=4)))
 
 
+HALF = (1.0, 1.0, 1.0, 0.5)
+
+
 @pytest.mark.parametrize(
     ("material", "blended"),
     [
         (scene.MaterialSource(alpha_mode="BLEND"), False),  # opaque everywhere
-        (scene.MaterialSource(alpha_mode="BLEND", base_color=(1, 1, 1, 0.5)), True),
-        (scene.MaterialSource(alpha_mode="MASK", base_color=(1, 1, 1, 0.5)), False),
-        (scene.MaterialSource(base_color=(1, 1, 1, 0.5)), False),  # alpha is not read
+        (
+            scene.MaterialSource(alpha_mode="BLEND", base_color=(1.0, 1.0, 1.0, 0.5)),
+            True,
+        ),
+        (
+            scene.MaterialSource(alpha_mode="MASK", base_color=(1.0, 1.0, 1.0, 0.5)),
+            False,
+        ),
+        (
+            scene.MaterialSource(base_color=(1.0, 1.0, 1.0, 0.5)),
+            False,
+        ),  # alpha is not read
         (scene.MaterialSource(transmission=0.3), True),
     ],
 )

@@ -242,4 +242,5 @@ def _lights(lights: list[Light]) -> types.Lights:
         range=floats("range"),
         cos_inner=floats("cos_inner"),
         cos_outer=floats("cos_outer"),
+        casts=jnp.ones((len(lights),), jnp.bool_),
     )

@@ -22,7 +22,7 @@ from ataa_jax.cli import given, terminal
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import compare, paths, world
+    from ataa_jax import compare, effects, paths, world
 
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
 BAD_INPUT, INTERRUPTED, FAILED = 2, 130, 1
@@ -84,16 +84,17 @@ def demo(
 @app.command()
 def info(
     scene: given.Scene,
+    effects: given.Effects = None,
     traceback: given.Traceback = False,
 ) -> None:
     """Tells what a scene holds, and which effects will be rendered, and why."""
-    from ataa_jax import effects
     from ataa_jax import world as worlds
 
+    wish = _wish(effects)
     with terminal.progress() as report:
         report("loading the scene", 0, 1)
-        loaded = worlds.load(scene)
-    terminal.describe(loaded, effects.look(loaded.scene))
+        loaded = worlds.load(scene, wish=wish)
+    terminal.describe(loaded)
 
 
 @app.command()
@@ -108,6 +109,7 @@ def run(
     budget: given.Budget = None,
     lead_in: given.LeadIn = 0,
     params: given.ParamsOption = None,
+    effects: given.Effects = None,
     exr: Annotated[bool, typer.Option("--exr", help="Also linear OpenEXR.")] = False,
     out: given.Out = None,
     traceback: given.Traceback = False,
@@ -134,7 +136,12 @@ def run(
                 "--params changes the tuned preset; leave out --preset ue4 and the "
                 "methods that end in _ue4"
             )
-        options = {"frames": frames, "lead_in": lead_in, "budget": budget}
+        options = {
+            "frames": frames,
+            "lead_in": lead_in,
+            "budget": budget,
+            "effects": effects,
+        }
         with terminal.progress() as report:
             shot, chosen = _prepare(
                 scene, extent, camera, motion, params, report, options
@@ -164,6 +171,7 @@ def compare_command(
     reference_samples: given.ReferenceSamples = 64,
     lead_in: given.LeadIn = 8,
     params: given.ParamsOption = None,
+    effects: given.Effects = None,
     out: given.Out = None,
     traceback: given.Traceback = False,
 ) -> None:
@@ -181,6 +189,7 @@ def compare_command(
             "lead_in": lead_in,
             "budget": budget,
             "reference_samples": reference_samples,
+            "effects": effects,
         },
     )
 
@@ -258,7 +267,10 @@ def _compare(
 
 
 def _load(
-    scene: str, camera: str | None, motion: str | None = None
+    scene: str,
+    camera: str | None,
+    motion: str | None = None,
+    wish: "effects.Wish | None" = None,
 ) -> tuple["world.World", "paths.CameraPath"]:
     """Loads a scene, lit and exposed for the camera at which the path starts."""
     from ataa_jax import paths
@@ -268,7 +280,16 @@ def _load(
     paths.load(text, motion)  # so that a mistake is told before a long read
     source = worlds.read(scene)
     path = paths.load(text, motion, [known.name for known in source.cameras])
-    return worlds.prepare(source, camera=path.camera), path
+    return worlds.prepare(source, camera=path.camera, wish=wish), path
+
+
+def _wish(text: str | None) -> "effects.Wish | None":
+    """Reads `--effects`; None where it was not given."""
+    if text is None:
+        return None
+    from ataa_jax import effects
+
+    return effects.parse(text)
 
 
 def _prepare(
@@ -288,9 +309,10 @@ def _prepare(
     budget = 0.5 if asked is None else asked
     if not budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
+    wish = _wish(options.pop("effects", None))
     table = parameters.read(params) if params is not None else {}
     report("loading the scene", 0, 1)
-    loaded, path = _load(scene, camera, motion)
+    loaded, path = _load(scene, camera, motion, wish)
     if table:
         _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"

@@ -63,6 +63,15 @@ Budget = Annotated[
         help="Sparse rays a pixel of the frame, or inf; 0.5 unless --params says."
     ),
 ]
+Effects = Annotated[
+    str | None,
+    typer.Option(
+        "--effects",
+        metavar="NAMES",
+        help="Effects in place of those that the scene calls for: names with commas, "
+        "no-NAME to leave one out, or all. `ataa info` lists them.",
+    ),
+]
 ReferenceSamples = Annotated[int, typer.Option(help="Samples a pixel of the truth.")]
 LeadIn = Annotated[int, typer.Option(help="Frames before the first that is kept.")]
 Preset = Annotated[str, typer.Option(help="TAA constants: tuned or ue4.")]

@@ -16,8 +16,11 @@ if TYPE_CHECKING:
 Report = Callable[[str, int, int], None]
 
 
-def describe(loaded: "world.World", looks: "list[effects.Effect]") -> None:
-    """Prints what a scene holds, and which effects it shows."""
+def describe(loaded: "world.World") -> None:
+    """Prints what a scene holds, and which effects it calls for, and their rays."""
+    from ataa_jax import effects
+    from ataa_jax.world import PREVIEW
+
     source, console = loaded.source, Console(highlight=False)
     triangles = sum(len(mesh.triangles) for mesh in source.meshes)
     objects = f"{len(source.meshes):,}"
@@ -46,8 +49,18 @@ def describe(loaded: "world.World", looks: "list[effects.Effect]") -> None:
     lights = [(li.name, kinds[li.kind], _vector(li.intensity)) for li in loaded.lights]
     console.print(table(("Name", "Kind", "Intensity (lux or cd)"), lights))
     console.print("\n[bold]Effects[/bold]")
-    looked = [(e.name, "on" if e.on else "off", e.reason) for e in looks]
-    console.print(table(("Effect", "", "Reason"), looked))
+    costs = effects.costs(loaded.rays, PREVIEW[0] * PREVIEW[1])
+    looked = [
+        (
+            e.name,
+            _state(e, loaded.wish),
+            costs.get(e.name, "") if e.on else "",
+            e.reason,
+        )
+        for e in loaded.looked
+    ]
+    heads = ("Effect", "", f"Rays in {PREVIEW[1]}x{PREVIEW[0]}", "Reason")
+    console.print(table(heads, looked))
     notes(console, loaded.notes)
 
 
@@ -97,6 +110,14 @@ def wrote(console: Console, final: Path, names: str) -> None:
     """Tells which of the named files and folders lie in the output folder."""
     there = ", ".join(name for name in names.split() if (final / name).exists())
     console.print(f"\nWrote {final}: {there}", markup=False)
+
+
+def _state(effect: "effects.Effect", wish: "effects.Wish") -> str:
+    if not wish.keeps(effect.name):
+        return "left out" if effect.on else "off"
+    if effect.on:
+        return "on"
+    return "forced" if wish.everything else "off"
 
 
 def _vector(values: Any) -> str:
