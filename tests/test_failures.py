@@ -239,17 +239,17 @@ def changes(letter, where):
 
 def test_what_moves_behind_a_pane_is_caught_by_the_luminance_criterion():
     pane = rectangle((-1.45, 0.45), (1.45, 2.55), 4.0)
-    if changes("f", pane) == 0.0:
-        pytest.skip("BLEND materials are drawn opaque")
+    assert changes("f", pane) > 0.0
+    # The paper's criteria miss part of it (`failure_suite.csv`): behind a pane the
+    # contrast falls, and a pale stripe's step stays under the threshold.
     traced, began = caught_by_luminance("f", 4, pane)
-    assert traced > 0.9
-    assert began > 0.9
+    assert traced > 0.6
+    assert began > 0.6
 
 
 def test_a_moving_reflection_is_caught_by_the_luminance_criterion():
     mirror = rectangle((-2.6, 0.5), (2.6, 2.7), 6.0)
-    if changes("h", mirror) == 0.0:
-        pytest.skip("mirrors reflect nothing but light and sky")
+    assert changes("h", mirror) > 0.0
     assert not np.any(np.asarray(frames("h")[4].gbuffer.motion)[mirror])
     traced, began = caught_by_luminance("h", 4, mirror)
     assert traced > 0.9
