@@ -283,9 +283,9 @@ def sheet(results: list[Result], file: Path) -> None:
 
 
 def _small_png(page: Sheet) -> bytes:
-    """Returns a PNG under 500 kB: red and green of five bits, blue of four."""
+    """Returns a PNG under 500 kB: red and green of five bits, blue of three."""
     # Fewer levels pack better than a palette, which would change hues.
-    dropped = np.array([3, 3, 4], np.uint8)
+    dropped = np.array([3, 3, 5], np.uint8)
     half = np.uint8(1) << (dropped - 1)
     coarse = (np.asarray(page.image) >> dropped << dropped) | half
     buffer = io.BytesIO()

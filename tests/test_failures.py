@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 
 from ataa_jax import color as colors
 from ataa_jax import pipeline, reference, sampling, segmentation, types
