@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from typer.core import TyperGroup
 
+from ataa_jax import capture_commands
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ app = typer.Typer(
 Scene = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE", help="A .glb, .gltf or mesh file, or the word 'builtin'."
+        metavar="SCENE",
+        help="A .glb, .gltf or mesh file, the folder of a capture, or the word "
+        "'builtin'.",
     ),
 ]
 Size = Annotated[str, typer.Option(metavar="WxH", help="Image size in pixels.")]
@@ -224,15 +227,20 @@ def run(
             )
         options = {"frames": frames, "lead_in": lead_in, "budget": budget}
         with _progress() as report:
-            shot, chosen = _prepare(
-                scene, extent, camera, motion, params, report, options
-            )
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, (name,), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, report, options
+                )
             rows = film.shoot(shot, name, chosen, folder, exr=exr, progress=report)
     console = Console(soft_wrap=True, highlight=False)
     heads = ("frame", "FXAA", "TAA", "ATAA", "rays/px", "over budget", "shadow rays")
     if any(row[1] for row in rows):
         console.print(_table(heads, rows[:_SHOWN_ROWS]))
-    _notes(console, shot.world.notes)
+    _notes(console, compare.notes(shot))
     console.print(f"\nWrote {final}: frames/, video.mp4, statistics.csv, timings.csv")
 
 
@@ -324,9 +332,14 @@ def _compare(
             split = [part.strip() for name in names for part in name.split(",")]
             options["methods"] = compare.check_methods(dict.fromkeys(split))
         with _progress() as tell:
-            shot, chosen = _prepare(
-                scene, extent, camera, motion, params, tell, options
-            )
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, options.pop("methods", ()), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, tell, options
+                )
             result = compare.compare(shot, chosen, tell)
             report.write(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)

@@ -1,0 +1,417 @@
+"""What a captured sequence is, whichever layout it came in, and its reading.
+
+A `Capture` knows for every frame which channels of which files hold what, and by which
+`Conventions` they are to be understood. `Capture.draw` gives what the raster stage
+would: colour and G-buffer in the package's own conventions.
+
+Symbols: a *reading* is one set of conventions; a motion vector m of the package is
+previous − current position in px, x right, y down, jitter removed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from ataa_jax import color as colors
+from ataa_jax.capture import exr
+from ataa_jax.errors import InputError
+from ataa_jax.raster import RasterOutput
+from ataa_jax.raytrace import RaytraceOutput
+from ataa_jax.types import Camera, FrameInputs, GBuffer
+
+PREVIOUS_MINUS_CURRENT = "previous - current"
+CURRENT_MINUS_PREVIOUS = "current - previous"
+SAMPLE_COUNTS = (2, 4, 8, 16)
+
+Encoding = Literal["linear", "srgb", "tonemapped", "display"]
+Depth = Literal["linear", "distance", "device", "device reversed"]
+Unit = Literal["px", "uv", "ndc"]
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """How the stored numbers are to be read; None: the layout does not say."""
+
+    # linear: radiance; srgb: that, sRGB-encoded; tonemapped: x / (1 + max rgb);
+    # display: tone-mapped, then sRGB-encoded.
+    color: Encoding = "linear"
+    average: colors.Average = "tonemap"  # in which reference and samples are means
+    motion_unit: Unit = "px"
+    motion_sign: str | None = PREVIOUS_MINUS_CURRENT
+    motion_y: Literal["down", "up"] | None = "down"
+    motion_axes: Literal["xy", "yx"] = "xy"
+    motion_jittered: bool = False  # True: the jitter's change is part of it
+    # linear: along the view axis, scene units; distance: along the pixel's ray;
+    # device: 0 at the near plane, 1 at the far; device reversed: 1 at the near plane.
+    depth: Depth = "linear"
+    camera_y: Literal["up", "down"] | None = "up"  # of the camera's second axis
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The camera of one frame."""
+
+    world_from_view: np.ndarray  # float64 (4, 4), rigid, looks down −z
+    tan_half: tuple[float, float]  # of the horizontal and vertical field of view
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Where one image lies: a file of the folder, and its channels in order."""
+
+    file: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame's metadata, and where its images lie."""
+
+    number: int  # as the capture counts
+    layers: dict[str, Layer]  # color, depth, motion, …, reference, samples2, …
+    jitter: tuple[float, float] | None = None  # px from the pixel centre, y down
+    cut: bool = False
+    pose: Pose | None = None
+    near: float = float("nan")
+    far: float = float("inf")
+    exposure: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Raw:
+    """One frame's images as stored."""
+
+    color: np.ndarray  # (h, w, 3) float32
+    depth: np.ndarray  # (h, w) float32
+    motion: np.ndarray  # (h, w, 2) float32
+    motion_valid: np.ndarray | None  # (h, w) bool
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A captured sequence."""
+
+    name: str
+    folder: Path
+    layout: str  # plain, nss or blender
+    size: tuple[int, int]  # height, width
+    frames: tuple[Frame, ...]
+    conventions: Conventions
+    fps: float = 30.0
+    # Samples a pixel of the reference; None where there is none, 0 where nobody says.
+    reference_samples: int | None = None
+    # Samples a pixel of the images that stand in for rays, where there are any.
+    sample_counts: tuple[int, ...] = ()
+    # The reference is this many times as large a side, and averaged down.
+    reference_ratio: int = 1
+    notes: list[str] = field(default_factory=list)
+    first: int = 0  # place in `frames` of the frame that counts as index 0
+
+    def pixels(self, index: int, kind: str) -> np.ndarray | None:
+        """Returns one image as stored, float32 (h, w, channels), or None.
+
+        Args:
+            index: place in `frames`.
+            kind: a key of `Frame.layers`.
+
+        Raises:
+            InputError: the file is damaged, lacks a channel or has another size.
+        """
+        layer = self.frames[index].layers.get(kind)
+        if layer is None:
+            return None
+        file = exr.inside(self.folder, layer.file)
+        held = _decoded(file)
+        if missing := [name for name in layer.channels if name not in held]:
+            raise InputError(
+                f"{file} has no channel '{missing[0]}' for {kind}; it has "
+                f"{', '.join(sorted(held)[:12])}"
+            )
+        image = np.stack([held[name] for name in layer.channels], axis=-1)
+        ratio = self.reference_ratio if kind == "reference" else 1
+        expected = (self.size[0] * ratio, self.size[1] * ratio)
+        if image.shape[:2] != expected:
+            raise InputError(
+                f"{file} is {image.shape[1]}×{image.shape[0]} pixels where the capture "
+                f"has {expected[1]}×{expected[0]}: the resolution changes, or {kind} "
+                "was rendered at another one; capture all at one size"
+            )
+        return image.astype(np.float32)
+
+    def raw(self, index: int) -> Raw:
+        """Returns the images that every frame must have, as stored."""
+        color, depth, motion = (
+            self.pixels(index, kind) for kind in ("color", "depth", "motion")
+        )
+        if color is None or depth is None or motion is None:
+            raise InputError(f"capture {self.folder} lacks colour, depth or motion")
+        valid = self.pixels(index, "motion_valid")
+        return Raw(
+            color=color,
+            depth=depth[..., 0],
+            motion=motion,
+            motion_valid=None if valid is None else valid[..., 0] > 0.5,
+        )
+
+    def place(self, frame: int) -> int:
+        """Returns the place in `frames` of a frame index, which may be negative.
+
+        Raises:
+            InputError: the capture has no such frame.
+        """
+        place = frame + self.first
+        if not 0 <= place < len(self.frames):
+            raise InputError(
+                f"capture {self.folder} has {len(self.frames)} frames; frame {frame} "
+                f"after a lead-in of {self.first} is not among them"
+            )
+        return place
+
+    def draw(
+        self, frame: int, *, centred: bool = False
+    ) -> tuple[RasterOutput, FrameInputs]:
+        """Returns what the raster stage would give, and the frame's inputs.
+
+        Args:
+            frame: index, 0 after the lead-in.
+            centred: the colour of the pixel centre, where the capture has it.
+        """
+        index = self.place(frame)
+        meta, raw = self.frames[index], self.raw(index)
+        center = self.pixels(index, "center") if centred else None
+        color = raw.color if center is None else center
+        motion = motion_px(raw.motion, self.conventions, self.size)
+        if self.conventions.motion_jittered and index > 0:
+            motion = motion - self.jitter_change(index)
+        motion, valid = _valid_motion(motion, raw.motion_valid, self.size)
+        zeros = np.zeros(self.size, np.int32)
+        depth = linear_depth(raw.depth, self.conventions.depth, meta, self.size)
+        drawn = RasterOutput(
+            color=jnp.asarray(self._linear(color, meta)),
+            gbuffer=GBuffer(
+                depth=jnp.asarray(np.where(np.isnan(depth), np.inf, depth)),
+                motion=jnp.asarray(motion),
+                motion_valid=jnp.asarray(valid),
+                normal=jnp.zeros((*self.size, 3), jnp.float32),
+                object=jnp.asarray(zeros),
+                material=jnp.asarray(zeros),
+            ),
+            primary_rays=jnp.asarray(self.size[0] * self.size[1], jnp.int32),
+            shadow_rays=jnp.zeros((), jnp.int32),
+        )
+        return drawn, self._inputs(index)
+
+    def jitter_change(self, index: int) -> np.ndarray:
+        """Returns what jitter left inside a motion vector adds to it, px.
+
+        The sample of the frame before lay at its own jitter: previous − current
+        position grows by current − previous jitter.
+        """
+        now, then = self.frames[index].jitter, self.frames[index - 1].jitter
+        change = np.asarray(now or (0.0, 0.0)) - np.asarray(then or (0.0, 0.0))
+        return change.astype(np.float32)
+
+    def reference(self, frame: int) -> np.ndarray | None:
+        """Returns the supersampled truth as linear radiance, (h, w, 3), or None."""
+        index = self.place(frame)
+        stored = self.pixels(index, "reference")
+        if stored is None:
+            return None
+        linear = self._linear(stored, self.frames[index])
+        if self.reference_ratio == 1:
+            return linear
+        k = self.reference_ratio
+        mapped = np.asarray(
+            colors.to_average(jnp.asarray(linear), self.conventions.average)
+        )
+        mean = mapped.reshape(self.size[0], k, self.size[1], k, 3).mean(axis=(1, 3))
+        return np.asarray(
+            colors.from_average(jnp.asarray(mean), self.conventions.average)
+        )
+
+    def samples(self, frame: int, count: int) -> np.ndarray | None:
+        """Returns the image of `count` samples a pixel, linear, or None."""
+        index = self.place(frame)
+        stored = self.pixels(index, f"samples{count}")
+        return None if stored is None else self._linear(stored, self.frames[index])
+
+    def stand_in(self, samples: int) -> tuple[str, str]:
+        """Returns which image stands in for rays, and the sentence that says so.
+
+        Raises:
+            InputError: the capture has nothing that could.
+        """
+        if samples in self.sample_counts:
+            return f"samples{samples}", (
+                f"no ray was traced: traced pixels of ATAA {samples}x show the "
+                f"capture's {samples}-sample images; rays are counted as if traced"
+            )
+        if self.reference_samples is None:
+            raise InputError(
+                f"capture {self.folder} has neither {samples}-sample images nor a "
+                "reference to stand in for rays; use --method taa, fxaa or none"
+            )
+        count = f"{self.reference_samples}-sample " if self.reference_samples else ""
+        return "reference", (
+            f"no ray was traced: traced pixels of ATAA {samples}x show the capture's "
+            f"{count}reference itself, so their error is 0 and its scores an upper "
+            "bound; rays are counted as if traced"
+        )
+
+    def trace(
+        self, frame: int, samples: int
+    ) -> Callable[[Bool[Array, "h w"]], RaytraceOutput]:
+        """Returns what takes the ray tracer's place in a frame."""
+        kind, _ = self.stand_in(samples)
+        image = (
+            self.reference(frame)
+            if kind == "reference"
+            else self.samples(frame, samples)
+        )
+        if image is None:
+            raise InputError(
+                f"capture {self.folder}, frame {frame}: its {kind} image is missing"
+            )
+        color = jnp.asarray(image)
+
+        def traced(wanted: Bool[Array, "h w"]) -> RaytraceOutput:
+            return RaytraceOutput(
+                color=jnp.where(wanted[..., None], color, 0.0),
+                primary_rays=jnp.sum(wanted, dtype=jnp.int32) * samples,
+                shadow_rays=jnp.zeros((), jnp.int32),
+            )
+
+        return traced
+
+    def after(self, lead_in: int) -> "Capture":
+        """Returns the capture with its first frames given to the lead-in."""
+        return replace(self, first=lead_in)
+
+    def _linear(self, stored: np.ndarray, meta: Frame) -> np.ndarray:
+        return linear_color(stored, self.conventions.color) * np.float32(meta.exposure)
+
+    def _inputs(self, index: int) -> FrameInputs:
+        meta = self.frames[index]
+        group = jnp.asarray(np.eye(3, 4, dtype=np.float32)[None])
+        return FrameInputs(
+            camera=_camera(meta),
+            previous_camera=_camera(self.frames[max(index - 1, 0)]),
+            world_from_group=group,
+            previous_world_from_group=group,
+            jitter=jnp.asarray(meta.jitter or (0.0, 0.0), jnp.float32),
+            cut=jnp.asarray(meta.cut or index == 0),
+        )
+
+
+def _camera(meta: Frame) -> Camera:
+    """Returns the frame's camera; no stage after raster reads it."""
+    pose = meta.pose or Pose(np.eye(4), (1.0, 1.0))
+    return Camera(
+        world_from_view=jnp.asarray(pose.world_from_view, jnp.float32),
+        tan_half_fov_y=jnp.asarray(pose.tan_half[1], jnp.float32),
+    )
+
+
+@lru_cache(maxsize=3)
+def _cached(file: Path, stamp: tuple[int, int]) -> dict[str, np.ndarray]:
+    return exr.read(file)
+
+
+def _decoded(file: Path) -> dict[str, np.ndarray]:
+    """Reads a file, or remembers it: a frame's images often share one."""
+    try:
+        state = file.stat()
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror})") from None
+    return _cached(file, (state.st_mtime_ns, state.st_size))
+
+
+def motion_px(
+    stored: np.ndarray, conventions: Conventions, size: tuple[int, int]
+) -> np.ndarray:
+    """Reads stored motion as previous − current position, px, x right, y down.
+
+    Args:
+        stored: (..., 2).
+        conventions: sign, axes and unit; where it names none, the package's own.
+        size: image (height, width).
+
+    Returns:
+        float32, the same shape; jitter is not removed.
+    """
+    motion = stored[..., ::-1] if conventions.motion_axes == "yx" else stored
+    height, width = size
+    scale = np.ones(2, np.float32)
+    if conventions.motion_unit == "uv":
+        scale = np.array([width, height], np.float32)
+    elif conventions.motion_unit == "ndc":  # −1 to 1 across the image
+        scale = np.array([width, height], np.float32) / np.float32(2.0)
+    if conventions.motion_sign == CURRENT_MINUS_PREVIOUS:
+        scale = -scale
+    if conventions.motion_y == "up":
+        scale = scale * np.array([1.0, -1.0], np.float32)
+    return (motion * scale).astype(np.float32)
+
+
+def _valid_motion(
+    motion: np.ndarray, told: np.ndarray | None, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns finite motion, and where the previous position lies inside the view."""
+    finite = np.isfinite(motion).all(axis=-1)
+    motion = np.where(finite[..., None], motion, np.float32(0.0))
+    bound = np.float32(4 * max(size))
+    motion = np.clip(motion, -bound, bound)
+    y, x = np.mgrid[: size[0], : size[1]].astype(np.float32) + np.float32(0.5)
+    at_x, at_y = x + motion[..., 0], y + motion[..., 1]
+    inside = (at_x >= 0) & (at_x <= size[1]) & (at_y >= 0) & (at_y <= size[0])
+    valid = finite & inside
+    return motion, valid if told is None else valid & told
+
+
+def linear_depth(
+    stored: np.ndarray, kind: Depth, meta: Frame, size: tuple[int, int]
+) -> np.ndarray:
+    """Reads stored depth as distance along the view axis; sky is inf.
+
+    With n and f the planes' distances, a forward device depth is
+    d = f (z − n) / (z (f − n)), and 1 − n/z where f is infinite.
+    """
+    value = stored.astype(np.float64)
+    if kind == "linear":
+        return np.where(value >= 1e9, np.inf, value).astype(np.float32)
+    if kind == "distance":
+        return _along_axis(value, meta, size)
+    forward = 1.0 - value if kind == "device reversed" else value
+    near, far = meta.near, meta.far
+    share = 1.0 if np.isinf(far) else (far - near) / far
+    rest = 1.0 - share * forward
+    sky = forward >= 1.0
+    depth = near / np.where(rest > 0.0, rest, 1.0)
+    return np.where(sky | (rest <= 0.0), np.inf, depth).astype(np.float32)
+
+
+def _along_axis(value: np.ndarray, meta: Frame, size: tuple[int, int]) -> np.ndarray:
+    tan_x, tan_y = (1.0, 1.0) if meta.pose is None else meta.pose.tan_half
+    y, x = np.mgrid[: size[0], : size[1]] + 0.5
+    u, v = (2.0 * x / size[1] - 1.0) * tan_x, (2.0 * y / size[0] - 1.0) * tan_y
+    depth = value / np.sqrt(1.0 + u * u + v * v)
+    return np.where(value >= 1e9, np.inf, depth).astype(np.float32)
+
+
+def linear_color(stored: np.ndarray, encoding: Encoding) -> np.ndarray:
+    """Reads stored colour as linear radiance, float32."""
+    value = stored.astype(np.float32)
+    if encoding == "linear":
+        return value
+    image = jnp.asarray(value)
+    if encoding in ("srgb", "display"):
+        image = colors.srgb_decode(image)
+    if encoding in ("tonemapped", "display"):
+        image = colors.inverse_tonemap(image)
+    return np.asarray(image)

@@ -1,0 +1,88 @@
+"""The command line's part for captures: `ataa check`, and captures in place of scenes.
+
+As in `cli`: arguments in, files out, no mathematics; JAX is imported inside.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ataa_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from ataa_jax import compare
+    from ataa_jax.capture import Capture
+
+
+def given(scene: str) -> bool:
+    """Returns whether the command's argument is a folder, so a capture."""
+    return Path(scene).is_dir()
+
+
+def prepare(
+    scene: str,
+    camera: str | None,
+    motion: str | None,
+    params: Path | None,
+    names: tuple[str, ...],
+    options: dict[str, Any],
+) -> tuple["Capture", "compare.Options"]:
+    """Loads a capture, and checks it before it is believed.
+
+    Args:
+        scene: the folder.
+        camera: refused, a capture has its own.
+        motion: likewise.
+        params: file with numbers in place of the tuned preset's.
+        names: methods that will run.
+        options: of `compare.Options`.
+
+    Raises:
+        InputError: no capture, or one that contradicts itself.
+    """
+    from ataa_jax import capture as captures
+    from ataa_jax import compare, parameters, pipeline
+
+    if camera is not None or motion is not None:
+        raise InputError(
+            "a capture has its own camera; leave out --camera and --motion"
+        )
+    capture = captures.load(scene)
+    total = len(capture.frames)
+    # our choice: at most a third of the frames; the first are drawn to no score.
+    lead_in = min(options.get("lead_in", 0), (total - 1) // 3)
+    frames = min(options["frames"], total - lead_in)
+    capture = capture.after(lead_in)
+    budget = options.pop("budget", None)
+    given_budget = 0.5 if budget is None else budget
+    if not given_budget >= 0.0:
+        raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
+    if params is not None:
+        table = parameters.read(params)
+        _, numbers = pipeline.preset("tuned", None, capture.size, budget=given_budget)
+        where = f"parameter file {params}"
+        options["params"] = parameters.override(numbers, table, where)
+        if budget is None:
+            given_budget = float(options["params"].budget)
+    options |= {
+        "frames": frames,
+        "lead_in": lead_in,
+        "budget": given_budget,
+        "reference_samples": capture.reference_samples or 1,
+        "average": capture.conventions.average,
+    }
+    if names:
+        options["methods"] = names
+    elif "methods" not in options:
+        options["methods"] = compare.captured_methods(capture)
+    notes = [*capture.notes, *_rays(capture, options["methods"])]
+    if "center" not in capture.frames[0].layers:
+        notes.append("the capture has no sample at the pixel centre: No AA and FXAA "
+                     "show its jittered frames")  # fmt: skip
+    return replace(capture, notes=notes), compare.Options(**options)
+
+
+def _rays(capture: "Capture", methods: tuple[str, ...]) -> list[str]:
+    """Returns the sentences that say what stood in for rays."""
+    counts = {int(m[4]) for m in methods if m.startswith("ataa")}
+    return [capture.stand_in(count)[1] for count in sorted(counts)]
