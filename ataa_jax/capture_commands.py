@@ -42,12 +42,15 @@ def prepare(
     """
     from ataa_jax import capture as captures
     from ataa_jax import compare, parameters, pipeline
+    from ataa_jax.capture import check
 
     if camera is not None or motion is not None:
         raise InputError(
             "a capture has its own camera; leave out --camera and --motion"
         )
-    capture = captures.load(scene)
+    report = check.check(captures.load(scene))
+    check.refuse(report)
+    capture = report.capture
     total = len(capture.frames)
     # our choice: at most a third of the frames; the first are drawn to no score.
     lead_in = min(options.get("lead_in", 0), (total - 1) // 3)
@@ -75,7 +78,8 @@ def prepare(
         options["methods"] = names
     elif "methods" not in options:
         options["methods"] = compare.captured_methods(capture)
-    notes = [*capture.notes, *_rays(capture, options["methods"])]
+    found = [f"{f.severity}: {f.sentence}" for f in report.findings]
+    notes = [*capture.notes, *found, *_rays(capture, options["methods"])]
     if "center" not in capture.frames[0].layers:
         notes.append("the capture has no sample at the pixel centre: No AA and FXAA "
                      "show its jittered frames")  # fmt: skip
@@ -86,3 +90,58 @@ def _rays(capture: "Capture", methods: tuple[str, ...]) -> list[str]:
     """Returns the sentences that say what stood in for rays."""
     counts = {int(m[4]) for m in methods if m.startswith("ataa")}
     return [capture.stand_in(count)[1] for count in sorted(counts)]
+
+
+def check_folder(folder: str) -> int:
+    """Prints what is found about a capture.
+
+    Returns:
+        Exit code: 0, or 2 where the capture contradicts itself.
+    """
+    from rich.console import Console
+
+    from ataa_jax import capture as captures
+    from ataa_jax.capture import check
+
+    report = check.check(captures.load(folder))
+    capture = report.capture
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    height, width = capture.size
+    console.print(
+        f"{capture.name}: {capture.layout} layout, {len(capture.frames)} frames, "
+        f"{width}×{height}"
+    )
+    for name, value in _facts(capture, report.facts):
+        console.print(f"  {name}: {value}")
+    for note in capture.notes:
+        console.print(f"note: {note}")
+    for finding in report.findings:
+        place = f" ({finding.where})" if finding.where else ""
+        console.print(f"{finding.severity}: {finding.name}{place}")
+        console.print(f"  {finding.evidence}")
+        console.print(f"  remedy: {finding.remedy}")
+    if not report.errors:
+        console.print("no contradiction between metadata and images was found")
+    return 2 if report.errors else 0
+
+
+def _facts(
+    capture: "Capture", measured: list[tuple[str, str]]
+) -> list[tuple[str, str]]:
+    """Returns how the capture is read, then what was measured."""
+    c = capture.conventions
+    rays = ", ".join(str(n) for n in capture.sample_counts) or "none"
+    reference = capture.reference_samples
+    samples = "of unknown samples" if reference == 0 else f"{reference} samples a pixel"
+    return [
+        ("colour", f"{c.color}, means taken {c.average}"),
+        (
+            "motion",
+            f"{c.motion_sign}, {c.motion_unit}, y {c.motion_y}, axes {c.motion_axes}, "
+            f"jitter {'inside' if c.motion_jittered else 'removed'}",
+        ),
+        ("depth", c.depth),
+        ("reference", "none" if reference is None else samples),
+        ("images of several samples a pixel", rays),
+        *measured,
+    ]

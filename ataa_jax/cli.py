@@ -278,6 +278,17 @@ def compare_command(
 
 
 @app.command()
+def check(
+    capture: Annotated[
+        Path, typer.Argument(metavar="CAPTURE", help="The folder of a capture.")
+    ],
+    traceback: Traceback = False,
+) -> None:
+    """Tells whether a capture's images agree with its metadata, and what to mend."""
+    raise typer.Exit(capture_commands.check_folder(str(capture)))
+
+
+@app.command()
 def bench(
     scene: Scene,
     size: Size = "640x360",

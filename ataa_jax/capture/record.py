@@ -31,7 +31,7 @@ SAMPLE_COUNTS = (2, 4, 8, 16)
 
 Encoding = Literal["linear", "srgb", "tonemapped", "display"]
 Depth = Literal["linear", "distance", "device", "device reversed"]
-Unit = Literal["px", "uv", "ndc"]
+Unit = Literal["px", "half px", "uv", "ndc"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Pose:
     """The camera of one frame."""
 
     world_from_view: np.ndarray  # float64 (4, 4), rigid, looks down −z
-    tan_half: tuple[float, float]  # of the horizontal and vertical field of view
+    tan_half: tuple[float, float]  # of the horizontal (NaN: square pixels) and
+    # vertical field of view
 
 
 @dataclass(frozen=True)
@@ -352,6 +353,8 @@ def motion_px(
         scale = np.array([width, height], np.float32)
     elif conventions.motion_unit == "ndc":  # −1 to 1 across the image
         scale = np.array([width, height], np.float32) / np.float32(2.0)
+    elif conventions.motion_unit == "half px":  # of an image of half the size
+        scale = scale * np.float32(2.0)
     if conventions.motion_sign == CURRENT_MINUS_PREVIOUS:
         scale = -scale
     if conventions.motion_y == "up":
@@ -396,8 +399,14 @@ def linear_depth(
     return np.where(sky | (rest <= 0.0), np.inf, depth).astype(np.float32)
 
 
-def _along_axis(value: np.ndarray, meta: Frame, size: tuple[int, int]) -> np.ndarray:
+def tangents(meta: Frame, size: tuple[int, int]) -> tuple[float, float]:
+    """Returns the tangents of half the fields of view, horizontal and vertical."""
     tan_x, tan_y = (1.0, 1.0) if meta.pose is None else meta.pose.tan_half
+    return (tan_y * size[1] / size[0] if np.isnan(tan_x) else tan_x), tan_y
+
+
+def _along_axis(value: np.ndarray, meta: Frame, size: tuple[int, int]) -> np.ndarray:
+    tan_x, tan_y = tangents(meta, size)
     y, x = np.mgrid[: size[0], : size[1]] + 0.5
     u, v = (2.0 * x / size[1] - 1.0) * tan_x, (2.0 * y / size[0] - 1.0) * tan_y
     depth = value / np.sqrt(1.0 + u * u + v * v)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from ataa_jax import pipeline, raster, reference, sampling
-
 from ataa_jax.capture.record import Capture, Conventions, Frame, Pose
 from ataa_jax.world import Sequence
 

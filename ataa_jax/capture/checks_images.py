@@ -1,0 +1,324 @@
+"""Checks of colour, values and order: encodings, NaN, jitter, frozen and lost frames."""
+
+from typing import get_args
+
+import jax.numpy as jnp
+import numpy as np
+
+from ataa_jax import color as colors
+from ataa_jax.capture import evidence
+from ataa_jax.capture.evidence import Stills
+from ataa_jax.capture.findings import ERROR, NOTE, WARNING, Finding
+from ataa_jax.capture.record import Encoding, linear_color
+
+_EDGE = 0.1  # range of tone-mapped luma in the 3×3 that makes an edge
+# our choice: chance alone exceeds it once in a thousand captures, after the standard
+# error is doubled for neighbours that are not independent.
+_SIGMAS = 4.0
+# our choice: mip levels and noise leave flat areas alike to a few parts in a thousand.
+_FLAT = 0.03
+
+
+def check(stills: Stills) -> list[Finding]:
+    """Returns what contradicts the metadata."""
+    return [
+        *_finite(stills),
+        *_order(stills),
+        *_blocks(stills),
+        *_encoding(stills),
+        *_jitter(stills),
+    ]
+
+
+def _finite(stills: Stills) -> list[Finding]:
+    found = []
+    for kind in ("color", "reference", "motion", "depth"):
+        broken, where, total = 0, [], 0
+        for still in stills.frames:
+            image = getattr(still, kind)
+            if image is None:
+                continue
+            bad = np.isnan(image) if kind == "depth" else ~np.isfinite(image)
+            total += int(np.prod(image.shape[:2]))
+            pixels = bad if bad.ndim == 2 else bad.any(axis=-1)
+            if pixels.any():
+                broken += int(pixels.sum())
+                where.append(still.meta.number)
+        if broken:
+            found.append(
+                Finding(
+                    WARNING,
+                    "NaN or inf pixels",
+                    f"frame {where[0]}" + (" and more" if len(where) > 1 else ""),
+                    f"{broken} of {total:,} pixels of {kind} are not finite",
+                    "they are taken as black, as sky or as without history; find the "
+                    "shader that divides by zero",
+                )
+            )
+    return found
+
+
+def _order(stills: Stills) -> list[Finding]:
+    found = []
+    frames = stills.capture.frames
+    for before, after in zip(frames, frames[1:], strict=False):
+        step = after.number - before.number
+        if step != 1 and not after.cut:
+            text = f"frame {after.number} follows frame {before.number}"
+            found.append(
+                Finding(
+                    ERROR,
+                    "dropped frame",
+                    f"before frame {after.number}",
+                    f"{text}; {step - 1} are missing" if step > 1 else text,
+                    "capture the sequence again, or mark the frame after as a cut",
+                )
+            )
+    for then, now in stills.pairs():
+        same = np.array_equal(then.color, now.color, equal_nan=True)
+        if same and now.meta.jitter != then.meta.jitter:
+            found.append(
+                Finding(
+                    ERROR,
+                    "frozen frame",
+                    f"frame {now.meta.number}",
+                    "its colour equals the frame before in every pixel, though the "
+                    "jitter changed",
+                    "the frame was lost and the last one written again: capture anew",
+                )
+            )
+    return found
+
+
+def _blocks(stills: Stills) -> list[Finding]:
+    """Motion that was enlarged from half the size is equal in every 2×2 block."""
+    aligned, other = [], []
+    for still in stills.frames:
+        aligned.append(_equal_blocks(still.motion, 0))
+        other.append(_equal_blocks(still.motion, 1))
+    a, b = float(np.mean(aligned)), float(np.mean(other))
+    if a > 0.98 and b < 0.5 * a:
+        return [
+            Finding(
+                ERROR,
+                "half-resolution motion",
+                "",
+                f"{a:.0%} of the 2×2 blocks hold one motion vector, of blocks shifted "
+                f"by a pixel {b:.0%}: it was rendered at half the size and enlarged",
+                "write motion vectors at the colour's resolution, one a pixel",
+            )
+        ]
+    return []
+
+
+def _equal_blocks(motion: np.ndarray, start: int) -> float:
+    part = motion[start:, start:]
+    part = part[: part.shape[0] // 2 * 2, : part.shape[1] // 2 * 2]
+    corner = part[::2, ::2]
+    same = np.ones(corner.shape[:2], bool)
+    for dy, dx in ((0, 1), (1, 0), (1, 1)):
+        same &= np.all(part[dy::2, dx::2] == corner, axis=-1)
+    return float(same.mean()) if same.size else 0.0
+
+
+def _encoding(stills: Stills) -> list[Finding]:
+    """Compares colour with the reference, and both with what linear radiance allows."""
+    declared = stills.capture.conventions.color
+    top = max(float(np.nanmax(np.abs(s.color), initial=0.0)) for s in stills.frames)
+    if declared != "linear" and top > 1.01:
+        text = f"colour was promised '{declared}', but reaches {top:.3g}"
+        remedy = 'write color = "linear"'
+        return [Finding(ERROR, "linear colour", "", text, remedy)]
+    if any(still.reference is None for still in stills.frames):
+        return _unknown_encoding(declared, top)
+    if found := _reference_apart(stills, declared):
+        return found
+    if top > 1.01:
+        return []
+    own, sigma = _gap(stills, declared)
+    if abs(own) > _SIGMAS * sigma:
+        gaps = {e: abs(_gap(stills, e)[0]) for e in get_args(Encoding)}
+        best = min(gaps, key=lambda e: gaps[e])
+        if best != declared and gaps[best] < 0.5 * abs(own):
+            return [_encoded(declared, best, own, gaps[best], sigma)]
+    return _unknown_encoding(declared, top) if declared == "linear" else []
+
+
+def _encoded(
+    declared: str, seen: str, own: float, rest: float, sigma: float
+) -> Finding:
+    words = {
+        "srgb": "sRGB-encoded",
+        "display": "tone-mapped and sRGB-encoded",
+        "tonemapped": "tone-mapped",
+        "linear": "linear",
+    }
+    return Finding(
+        ERROR,
+        "encoded colour",
+        "",
+        f"colour was promised {declared}, but is {words[seen]}: no value exceeds 1, and "
+        f"at edges the reference is the mean of the samples to {rest:.4f} when decoded, "
+        f"{abs(own):.4f} as stored ({abs(own) / sigma:.0f} standard errors)",
+        f'capture before tone map and encoding, or write color = "{seen}"',
+    )
+
+
+def _unknown_encoding(declared: str, top: float) -> list[Finding]:
+    if declared != "linear" or top > 1.0 or top == 0.0:
+        return []
+    return [
+        Finding(
+            NOTE,
+            "dim or encoded colour",
+            "",
+            f"no value of the colour exceeds {top:.3g}; nothing tells a dim scene from a "
+            "tone-mapped or encoded one",
+            "make sure that it was captured before the tone map",
+        )
+    ]
+
+
+def _gap(stills: Stills, encoding: Encoding) -> tuple[float, float]:
+    """Returns the mean of A(sample) − A(reference) at edges, and its standard error.
+
+    A leads to the averaging space: there, and only there, the reference is the mean of
+    the samples. Encoded values are bent, and so is their mean, by Jensen's inequality.
+    """
+    average = stills.capture.conventions.average
+    values = []
+    for still in stills.frames:
+        assert still.reference is not None
+        pair = []
+        for image in (still.color, still.reference):
+            linear = jnp.asarray(linear_color(image, encoding))
+            mapped = colors.to_average(linear, average)
+            pair.append(np.asarray(colors.luma(mapped), np.float64))
+        if pair[0].shape != pair[1].shape:
+            return 0.0, 1.0
+        edge = _range3x3(still.luma) > _EDGE
+        values.append((pair[0] - pair[1])[edge])
+    joined = np.concatenate(values)
+    if joined.size < 64:
+        return 0.0, 1.0
+    return float(joined.mean()), 2.0 * float(joined.std()) / np.sqrt(joined.size)
+
+
+def _range3x3(plane: np.ndarray) -> np.ndarray:
+    padded = np.pad(plane, 1, mode="edge")
+    views = [
+        padded[r : r + plane.shape[0], c : c + plane.shape[1]]
+        for r in range(3)
+        for c in range(3)
+    ]
+    return np.max(views, axis=0) - np.min(views, axis=0)
+
+
+def _reference_apart(stills: Stills, declared: Encoding) -> list[Finding]:
+    """Says when colour and reference differ where there is nothing to antialias."""
+    ratio = {e: _flat_ratio(stills, e) for e in get_args(Encoding)}
+    off = {encoding: abs(np.log(value)) for encoding, value in ratio.items()}
+    if not off[declared] > _FLAT:
+        return []
+    best = min(off, key=lambda e: off[e])
+    text = (
+        f"in flat areas the reference is {ratio[declared]:.3f} times as bright as the "
+        "colour, tone-mapped"
+    )
+    if best != declared and off[best] < off[declared] / 3.0:
+        text += f"; read as '{best}' it is {ratio[best]:.3f} times"
+        remedy = "store the reference as the colour is stored"
+        return [Finding(ERROR, "encoded reference", "", text, remedy)]
+    remedy = "capture both with one exposure, before any post-processing"
+    return [Finding(WARNING, "reference differs", "", text, remedy)]
+
+
+def _flat_ratio(stills: Stills, encoding: Encoding) -> float:
+    """Returns the median of reference over colour, away from edges and black."""
+    ratios = []
+    for still in stills.frames:
+        if still.reference is None or still.reference.shape != still.color.shape:
+            continue
+        exposure = np.float32(still.meta.exposure)
+        truth = evidence.tonemapped_luma(
+            linear_color(still.reference, encoding) * exposure
+        )
+        spread = _range3x3(still.color_luma)
+        flat = (spread < 0.1 * still.color_luma) & (still.color_luma > 1e-3)
+        ratios.append(truth[flat] / still.color_luma[flat])
+    joined = np.concatenate(ratios) if ratios else np.zeros(0)
+    return float(np.median(joined)) if joined.size >= 64 else 1.0
+
+
+def _jitter(stills: Stills) -> list[Finding]:
+    """Compares the recorded jitter with where the images lie."""
+    jitters = [still.meta.jitter for still in stills.frames]
+    if all(jitter is None for jitter in jitters):
+        return [
+            Finding(
+                ERROR,
+                "missing jitter",
+                "",
+                "no frame's metadata hold a jitter",
+                "write each frame's subpixel offset, px from the pixel centre, x right "
+                "and y down; [0, 0] where the samples lie at the centre",
+            )
+        ]
+    given = np.array([jitter or (0.0, 0.0) for jitter in jitters])
+    if np.all(given == 0.0):
+        return [
+            Finding(
+                WARNING,
+                "no jitter",
+                "",
+                "every frame's jitter is 0",
+                "TAA gains no samples from still pixels; turn the jitter on",
+            )
+        ]
+    if np.abs(given).max() > 1.0:
+        return [
+            Finding(
+                ERROR,
+                "jitter unit",
+                "",
+                f"the jitter reaches {np.abs(given).max():.3g} px",
+                "write it in pixels from the pixel centre, −0.5 to 0.5",
+            )
+        ]
+    if any(still.reference is None for still in stills.frames):
+        return []
+    return _measured_jitter(stills, given)
+
+
+def _measured_jitter(stills: Stills, given: np.ndarray) -> list[Finding]:
+    shifts = [
+        evidence.shift(still.luma, still.color_luma, stills.x, stills.y)
+        for still in stills.frames
+    ]
+    found = np.array(shifts)
+    found = found - np.mean(found - given, axis=0) if len(found) > 3 else found
+    k = [evidence.slope([found[:, axis]], [given[:, axis]]) for axis in (0, 1)]
+    numbers = f"the images move by {k[0]:.2f} of it in x and {k[1]:.2f} in y"
+    if all(abs(v) < 0.35 or np.isnan(v) for v in k):
+        return [
+            Finding(
+                ERROR,
+                "missing jitter",
+                "",
+                f"the metadata hold a jitter, but the colour does not show it: {numbers}",
+                "capture the jittered frames, or write [0, 0]",
+            )
+        ]
+    axes = [name for name, v in zip("xy", k, strict=True) if v < -0.35]
+    if axes:
+        signs = "opposite sign in " + " and ".join(axes)
+        return [
+            Finding(
+                ERROR,
+                "jitter sign",
+                "",
+                f"the recorded jitter has the {signs}: {numbers}",
+                "write the sample's offset from the pixel centre, x right and y down",
+            )
+        ]
+    return []
