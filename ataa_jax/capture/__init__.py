@@ -14,31 +14,36 @@ the traced colours, or the reference where there are none, and every output says
 
 from pathlib import Path
 
-from ataa_jax.capture import plain
+from ataa_jax.capture import nss, plain
 from ataa_jax.capture.record import Capture
 from ataa_jax.capture.world import render
 from ataa_jax.errors import InputError
 
 write = plain.write
 
-__all__ = ["Capture", "is_capture", "load", "render", "write"]
-
-
-def is_capture(path: str | Path) -> bool:
-    """Returns whether a command's argument names a captured sequence, not a scene."""
-    return Path(path).is_dir()
+__all__ = ["Capture", "load", "render", "write"]
 
 
 def load(path: str | Path) -> Capture:
     """Reads a capture's metadata, in whichever layout.
 
+    Args:
+        path: the capture's folder, or one sequence's `NNNN.json` of an NSS data set,
+            of which a folder stands for the first.
+
     Raises:
         InputError: no layout fits, or the metadata is damaged.
     """
-    folder = Path(path)
-    if (folder / plain.NAME).is_file():
-        return plain.load(folder)
+    place = Path(path)
+    if place.suffix == ".json":
+        return nss.load(place)
+    if not place.is_dir():
+        raise InputError(f"{place} is no folder; give the folder of a capture")
+    if (place / plain.NAME).is_file():
+        return plain.load(place)
+    if found := nss.sequences(place):
+        return nss.load(found[0])
     raise InputError(
-        f"folder {folder} is no capture: it has neither {plain.NAME}, nor NNNN.json of "
+        f"folder {place} is no capture: it has neither {plain.NAME}, nor NNNN.json of "
         "the NSS layout, nor Blender's multilayer EXRs"
     )

@@ -46,7 +46,7 @@ def check(
         layout does not state them.
     """
     progress("looking at the files", 0, 3)
-    findings = _files(capture)
+    findings = [*capture.contradictions, *_files(capture)]
     if any(finding.severity == ERROR for finding in findings):
         return Report(capture, findings, [])
     progress("reading the frames", 1, 3)
@@ -57,11 +57,13 @@ def check(
         found = Finding(ERROR, "damaged file", "", str(error), remedy)
         return Report(capture, [*findings, found], [])
     progress("measuring motion", 2, 3)
+    stills, facts = checks_images.settle_jitter(stills)
+    capture = stills.capture
     findings += checks_images.check(stills)
     motion = checks_motion.check(stills)
     settled = replace(capture, conventions=motion.conventions)
     findings += motion.findings
-    facts = motion.facts
+    facts = [*facts, *motion.facts]
     if not any(finding.severity == ERROR for finding in findings):
         new, told = disocclusion.check(settled)
         findings, facts = [*findings, *new], [*facts, *told]

@@ -1,5 +1,6 @@
 """Checks of colour, values and order: encodings, NaN, jitter, frozen and lost frames."""
 
+from dataclasses import replace
 from typing import get_args
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from ataa_jax import color as colors
 from ataa_jax.capture import evidence
 from ataa_jax.capture.evidence import Stills
 from ataa_jax.capture.findings import ERROR, NOTE, WARNING, Finding
-from ataa_jax.capture.record import Encoding, linear_color
+from ataa_jax.capture.record import Encoding, Frame, linear_color
 
 _EDGE = 0.1  # range of tone-mapped luma in the 3×3 that makes an edge
 # our choice: chance alone exceeds it once in a thousand captures, after the standard
@@ -17,6 +18,8 @@ _EDGE = 0.1  # range of tone-mapped luma in the 3×3 that makes an edge
 _SIGMAS = 4.0
 # our choice: mip levels and noise leave flat areas alike to a few parts in a thousand.
 _FLAT = 0.03
+# our choice: aliasing weakens what is measured to about 0.8 of the jitter.
+_FOLLOWS = 0.35
 
 
 def check(stills: Stills) -> list[Finding]:
@@ -290,26 +293,56 @@ def _jitter(stills: Stills) -> list[Finding]:
     return _measured_jitter(stills, given)
 
 
-def _measured_jitter(stills: Stills, given: np.ndarray) -> list[Finding]:
+def _follows(stills: Stills, given: np.ndarray) -> list[float]:
+    """Returns by which factor the images move with the recorded jitter, x and y."""
     shifts = [
         evidence.shift(still.luma, still.color_luma, stills.x, stills.y)
         for still in stills.frames
     ]
-    found = np.array(shifts)
-    found = found - np.mean(found - given, axis=0) if len(found) > 3 else found
-    k = [evidence.slope([found[:, axis]], [given[:, axis]]) for axis in (0, 1)]
+    # A constant shift is the pixel grid's, not the jitter's.
+    found = np.array(shifts) - np.mean(shifts, axis=0)
+    centred = given - given.mean(axis=0)
+    return [evidence.slope([found[:, k]], [centred[:, k]]) for k in (0, 1)]
+
+
+def settle_jitter(stills: Stills) -> tuple[Stills, list[tuple[str, str]]]:
+    """Turns the jitter as the images have it, where the layout states no signs."""
+    jitters = [still.meta.jitter for still in stills.frames]
+    measurable = all(still.reference is not None for still in stills.frames)
+    capture = stills.capture
+    if capture.conventions.jitter_stated or None in jitters or not measurable:
+        return stills, []
+    k = _follows(stills, np.array(jitters))
+    signs = np.where(np.array(k) < -_FOLLOWS, -1.0, 1.0)
+
+    def turned(frame: Frame) -> Frame:
+        if frame.jitter is None:
+            return frame
+        x, y = np.asarray(frame.jitter) * signs
+        return replace(frame, jitter=(float(x), float(y)))
+
+    frames = tuple(turned(frame) for frame in capture.frames)
+    settled = replace(capture, frames=frames)
+    held = [replace(s, meta=f) for s, f in zip(stills.frames, frames, strict=False)]
+    words = ["right" if signs[0] > 0 else "left", "down" if signs[1] > 0 else "up"]
+    fact = f"x {words[0]}, y {words[1]} (the images move by {k[0]:.2f}, {k[1]:.2f})"
+    return replace(stills, capture=settled, frames=held), [("jitter, inferred", fact)]
+
+
+def _measured_jitter(stills: Stills, given: np.ndarray) -> list[Finding]:
+    k = _follows(stills, given)
     numbers = f"the images move by {k[0]:.2f} of it in x and {k[1]:.2f} in y"
-    if all(abs(v) < 0.35 or np.isnan(v) for v in k):
+    if all(abs(v) < _FOLLOWS or np.isnan(v) for v in k):
         return [
             Finding(
                 ERROR,
                 "missing jitter",
                 "",
-                f"the metadata hold a jitter, but the colour does not show it: {numbers}",
+                f"the metadata hold a jitter, the colour does not show it: {numbers}",
                 "capture the jittered frames, or write [0, 0]",
             )
         ]
-    axes = [name for name, v in zip("xy", k, strict=True) if v < -0.35]
+    axes = [name for name, v in zip("xy", k, strict=True) if v < -_FOLLOWS]
     if axes:
         signs = "opposite sign in " + " and ".join(axes)
         return [

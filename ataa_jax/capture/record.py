@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool
 
 from ataa_jax import color as colors
 from ataa_jax.capture import exr
+from ataa_jax.capture.findings import Finding
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import RaytraceOutput
@@ -51,6 +52,7 @@ class Conventions:
     # device: 0 at the near plane, 1 at the far; device reversed: 1 at the near plane.
     depth: Depth = "linear"
     camera_y: Literal["up", "down"] | None = "up"  # of the camera's second axis
+    jitter_stated: bool = True  # False: its signs are inferred from the images
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,7 @@ class Capture:
     # The reference is this many times as large a side, and averaged down.
     reference_ratio: int = 1
     notes: list[str] = field(default_factory=list)
+    contradictions: list[Finding] = field(default_factory=list)  # within the metadata
     first: int = 0  # place in `frames` of the frame that counts as index 0
 
     def pixels(self, index: int, kind: str) -> np.ndarray | None:
