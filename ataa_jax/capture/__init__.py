@@ -14,7 +14,7 @@ the traced colours, or the reference where there are none, and every output says
 
 from pathlib import Path
 
-from ataa_jax.capture import nss, plain
+from ataa_jax.capture import blender, fields, nss, plain
 from ataa_jax.capture.record import Capture
 from ataa_jax.capture.world import render
 from ataa_jax.errors import InputError
@@ -40,9 +40,15 @@ def load(path: str | Path) -> Capture:
     if not place.is_dir():
         raise InputError(f"{place} is no folder; give the folder of a capture")
     if (place / plain.NAME).is_file():
-        return plain.load(place)
+        table = fields.read_toml(place / plain.NAME)
+        if table.table("capture").value.get("layout") == "blender":
+            return blender.load(place, table)
+        return plain.load(place, table)
     if found := nss.sequences(place):
         return nss.load(found[0])
+    files = sorted(place.glob("*.exr"))
+    if files and blender.channels(files[0]) is not None:
+        return blender.load_bare(place, files)
     raise InputError(
         f"folder {place} is no capture: it has neither {plain.NAME}, nor NNNN.json of "
         "the NSS layout, nor Blender's multilayer EXRs"

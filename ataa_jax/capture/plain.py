@@ -28,7 +28,7 @@ import tomli_w
 
 from ataa_jax import files
 from ataa_jax.capture import exr
-from ataa_jax.capture.fields import Table, read_toml
+from ataa_jax.capture.fields import Table
 from ataa_jax.capture.record import (
     CURRENT_MINUS_PREVIOUS,
     PREVIOUS_MINUS_CURRENT,
@@ -74,13 +74,16 @@ def images(prefix: str = "") -> dict[str, tuple[str, ...]]:
     }
 
 
-def load(folder: Path) -> Capture:
+def load(folder: Path, table: Table) -> Capture:
     """Reads a capture's metadata; images are read when they are asked for.
+
+    Args:
+        folder: where it lies.
+        table: `capture.toml`.
 
     Raises:
         InputError: the metadata is damaged, or the first frame lacks an image.
     """
-    table = read_toml(folder / NAME)
     head = table.table("capture")
     if (layout := head.text("layout", "plain")) != "plain":
         raise InputError(f"{folder / NAME} names the unknown layout '{layout}'")
@@ -141,6 +144,7 @@ def assemble(
         fps=head.number("fps", 30.0, 1e-3, 1e6),
         reference_samples=count,
         sample_counts=tuple(n for n in SAMPLE_COUNTS if f"samples{n}" in held),
+        sky_still=layout == "blender",
     )
 
 

@@ -113,6 +113,7 @@ class Capture:
     sample_counts: tuple[int, ...] = ()
     # The reference is this many times as large a side, and averaged down.
     reference_ratio: int = 1
+    sky_still: bool = False  # background has no motion vectors of its own
     notes: list[str] = field(default_factory=list)
     contradictions: list[Finding] = field(default_factory=list)  # within the metadata
     first: int = 0  # place in `frames` of the frame that counts as index 0
@@ -193,9 +194,13 @@ class Capture:
         motion = motion_px(raw.motion, self.conventions, self.size)
         if self.conventions.motion_jittered and index > 0:
             motion = motion - self.jitter_change(index)
-        motion, valid = _valid_motion(motion, raw.motion_valid, self.size)
         zeros = np.zeros(self.size, np.int32)
         depth = linear_depth(raw.depth, self.conventions.depth, meta, self.size)
+        if self.sky_still and index > 0:
+            sky = sky_motion(self.frames[index - 1], meta, self.size)
+            if sky is not None:
+                motion = np.where(np.isinf(depth)[..., None], sky, motion)
+        motion, valid = _valid_motion(motion, raw.motion_valid, self.size)
         drawn = RasterOutput(
             color=jnp.asarray(self._linear(color, meta)),
             gbuffer=GBuffer(
@@ -363,6 +368,33 @@ def motion_px(
     if conventions.motion_y == "up":
         scale = scale * np.array([1.0, -1.0], np.float32)
     return (motion * scale).astype(np.float32)
+
+
+def sky_motion(then: Frame, now: Frame, size: tuple[int, int]) -> np.ndarray | None:
+    """Returns the motion of the infinitely far by the camera, (h, w, 2) px, or None.
+
+    Directions of pixel centres are turned into the view of the frame before; where one
+    lies behind it, the motion is NaN.
+    """
+    if then.pose is None or now.pose is None:
+        return None
+    (tan_x, tan_y), (then_x, then_y) = tangents(now, size), tangents(then, size)
+    y, x = np.mgrid[: size[0], : size[1]] + 0.5
+    direction = np.stack(
+        [
+            (2.0 * x / size[1] - 1.0) * tan_x,
+            (1.0 - 2.0 * y / size[0]) * tan_y,
+            -np.ones(size),
+        ],
+        axis=-1,
+    )
+    turn = then.pose.world_from_view[:3, :3].T @ now.pose.world_from_view[:3, :3]
+    view = direction @ turn.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_x = (view[..., 0] / -view[..., 2] / then_x + 1.0) * size[1] / 2.0
+        at_y = (1.0 - view[..., 1] / -view[..., 2] / then_y) * size[0] / 2.0
+    motion = np.stack([at_x - x, at_y - y], axis=-1)
+    return np.where((view[..., 2] < 0.0)[..., None], motion, np.nan).astype(np.float32)
 
 
 def _valid_motion(
