@@ -159,9 +159,7 @@ def mean(scene: "bpy.types.Scene", offsets: np.ndarray) -> np.ndarray:
     return mapped / (1.0 - mapped.max(axis=1, keepdims=True))
 
 
-def save(
-    scene: "bpy.types.Scene", color: np.ndarray, file: Path, half: bool
-) -> None:
+def save(scene: "bpy.types.Scene", color: np.ndarray, file: Path, half: bool) -> None:
     """Writes linear colour, rows from the bottom, as EXR."""
     render = scene.render
     image = bpy.data.images.new(
