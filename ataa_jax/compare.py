@@ -192,9 +192,9 @@ def compare(
             previous = images
             continue
         told = partial(step, f"frame {index + 1} of {options.frames}")
-        truth = _truth(shot, index, options, told)
-        images[REFERENCE] = np.asarray(colors.display(truth.color))
-        _score(result, runners, images, previous, index, np.asarray(truth.thin), drawer)
+        seen = truth(shot, index, options, told)
+        images[REFERENCE] = np.asarray(colors.display(seen.color))
+        _score(result, runners, images, previous, index, np.asarray(seen.thin), drawer)
         previous = images
     for each in runners:
         result.stage_ms[each.name] = each.steady()
@@ -202,8 +202,11 @@ def compare(
     return result
 
 
-def _truth(
-    shot: Source, frame: int, options: Options, progress: Callable[[], None]
+def truth(
+    shot: Source,
+    frame: int,
+    options: Options,
+    progress: Callable[[], None] = lambda: None,
 ) -> reference.Supersampled:
     """Renders or reads the reference of a frame; a capture knows no thin features."""
     if not isinstance(shot, Capture):
@@ -377,7 +380,9 @@ class _Adaptive(Runner):
             return buffers
 
         if isinstance(shot, Capture):  # its own cuts reset the history
-            rays = {"trace": shot.trace(frame, self.samples) if self.samples else None}
+            rays: dict[str, Any] = {
+                "trace": shot.trace(frame, self.samples) if self.samples else None
+            }
         else:
             inputs = pipeline.with_cut(inputs, frame == self.first)
             rays = {"scene": shot.world.scene, "tracer": shot.world.tracer}

@@ -23,7 +23,7 @@ import numpy as np
 
 # The jitter and the patterns are the package's own; this module needs NumPy alone.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from ataa_jax import sampling  # noqa: E402
+from ataa_jax import sampling
 
 JITTER_LENGTH = 16
 
@@ -143,7 +143,7 @@ def mean(scene: "bpy.types.Scene", offsets: np.ndarray) -> np.ndarray:
     """Returns the mean of renders under the tone map, linear, rows from the bottom."""
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth = "OPEN_EXR", "32"
-    total = 0.0
+    total = np.zeros(())
     with tempfile.TemporaryDirectory() as folder:
         for k, offset in enumerate(offsets):
             file = Path(folder) / f"{k}.exr"

@@ -8,6 +8,7 @@ Python can read it. Lights and sky come multiplied by the world's exposure.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +32,13 @@ def main() -> None:
     width, height = (int(part) for part in given.size.split("x"))
     loaded = world.load(given.scene)
     shot = world.shot(loaded, given.path, (height, width), motion=given.motion)
-    np.savez_compressed(
-        given.out,
+    arrays: dict[str, Any] = {
         **_meshes(loaded),
         **_materials(loaded),
         **_light(loaded),
         **_motion(shot, given.frames),
-    )
+    }
+    np.savez_compressed(given.out, **arrays)
 
 
 def _meshes(loaded: world.World) -> dict[str, np.ndarray]:

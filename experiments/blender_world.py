@@ -2,8 +2,8 @@
 
 Base colour, normal map, metalness, roughness, the sun and its shadows are Blender's
 own. The ambient light is not: Cycles would sample the sky and cast its shadows; here
-the package's ambient term, the sky's mean over the hemisphere about the normal, is
-emitted by the surface. The reflection of the sky by smooth surfaces is left out.
+the package's ambient term, diffuse and specular (`shading._ambient`), is emitted by the
+surface.
 """
 
 from pathlib import Path
@@ -107,9 +107,10 @@ def _ambient(
     row: np.ndarray,
     data: dict[str, np.ndarray],
 ) -> "bpy.types.NodeSocket":
-    """Returns diffuse × (irradiance × visibility + bounce) + emission."""
+    """Returns diffuse × (irradiance × visibility + bounce) + specular + emission."""
     zenith, horizon, ground, bounce = data["sky"]
     share = float(data["sky_visibility"])
+    mirror = _mirror(tree, color, normal, row, data)
     split = tree.nodes.new("ShaderNodeSeparateXYZ")
     tree.links.new(normal, split.inputs[0])
     up = tree.nodes.new("ShaderNodeMath")
@@ -128,9 +129,128 @@ def _ambient(
     diffuse.outputs[0].default_value = (*([1.0 - row[3]] * 3), 1.0)
     lit = _mix(tree, "MULTIPLY", around.outputs[2], diffuse.outputs[0])
     lit = _mix(tree, "MULTIPLY", color, lit)
+    lit = _mix(tree, "ADD", lit, mirror)
     emission = tree.nodes.new("ShaderNodeRGB")
     emission.outputs[0].default_value = (*row[5:8], 1.0)
     return _mix(tree, "ADD", lit, emission.outputs[0])
+
+
+def _mirror(
+    tree: "bpy.types.NodeTree",
+    color: "bpy.types.NodeSocket",
+    normal: "bpy.types.NodeSocket",
+    row: np.ndarray,
+    data: dict[str, np.ndarray],
+) -> "bpy.types.NodeSocket":
+    """Returns the sky in a surface: Karis's environment BRDF, as `_ambient` has it."""
+    zenith, horizon, ground, _ = data["sky"]
+    share, metallic, rough = float(data["sky_visibility"]), row[3], row[4]
+    incoming = tree.nodes.new("ShaderNodeNewGeometry").outputs["Incoming"]
+    cosine = _vector(tree, "DOT_PRODUCT", normal, incoming, "Value")
+    cosine = _math(tree, "MAXIMUM", cosine, 1e-4)
+    power = _math(tree, "POWER", 2.0, _math(tree, "MULTIPLY", cosine, -9.28))
+    a004 = _math(tree, "MINIMUM", power, (1.0 - rough) ** 2)
+    a004 = _math(tree, "MULTIPLY", a004, 1.0 - rough)
+    a004 = _math(tree, "ADD", a004, 0.0425 - 0.0275 * rough)
+    scale = _math(tree, "MULTIPLY", a004, -1.04)
+    scale = _math(tree, "ADD", scale, 1.04 - 0.572 * rough)
+    bias = _math(tree, "MULTIPLY", a004, 1.04)
+    bias = _math(tree, "ADD", bias, 0.022 * rough - 0.04)
+    # f0 = 0.04 + (color − 0.04) · metallic
+    f0 = _mix(tree, "MULTIPLY", color, _constant(tree, [metallic] * 3))
+    f0 = _mix(tree, "ADD", f0, _constant(tree, [0.04 * (1.0 - metallic)] * 3))
+    specular = _mix(tree, "MULTIPLY", f0, _grey(tree, scale))
+    specular = _mix(tree, "ADD", specular, _grey(tree, bias))
+    away = _vector(tree, "SCALE", incoming, -1.0, "Vector")
+    mirrored = _vector(tree, "REFLECT", away, normal, "Vector")
+    sky = _gradient(tree, _height(tree, mirrored), zenith, horizon, ground)
+    up = _math(tree, "MULTIPLY", _height(tree, normal), 0.5)
+    up = _math(tree, "ADD", up, 0.5)
+    around = _between(tree, up, _constant(tree, ground),
+                      _constant(tree, 0.5 * (zenith + horizon)))  # fmt: skip
+    blurred = _between(tree, rough, sky, around)
+    lit = _mix(tree, "MULTIPLY", specular, blurred)
+    return _mix(tree, "MULTIPLY", lit, _constant(tree, [share] * 3))
+
+
+def _math(
+    tree: "bpy.types.NodeTree", kind: str, *values: object
+) -> "bpy.types.NodeSocket":
+    node = tree.nodes.new("ShaderNodeMath")
+    node.operation = kind
+    for socket, value in zip(node.inputs, values, strict=False):
+        _feed(tree, socket, value)
+    return node.outputs[0]
+
+
+def _vector(
+    tree: "bpy.types.NodeTree", kind: str, a: object, b: object, out: str
+) -> "bpy.types.NodeSocket":
+    node = tree.nodes.new("ShaderNodeVectorMath")
+    node.operation = kind
+    _feed(tree, node.inputs[0], a)
+    _feed(tree, node.inputs["Scale"] if kind == "SCALE" else node.inputs[1], b)
+    return node.outputs[out]
+
+
+def _feed(
+    tree: "bpy.types.NodeTree", socket: "bpy.types.NodeSocket", value: object
+) -> None:
+    if isinstance(value, int | float | np.floating):
+        socket.default_value = float(value)
+    else:
+        tree.links.new(value, socket)
+
+
+def _constant(tree: "bpy.types.NodeTree", rgb: object) -> "bpy.types.NodeSocket":
+    node = tree.nodes.new("ShaderNodeRGB")
+    red, green, blue = rgb  # type: ignore[misc]
+    node.outputs[0].default_value = (red, green, blue, 1.0)
+    return node.outputs[0]
+
+
+def _grey(
+    tree: "bpy.types.NodeTree", value: "bpy.types.NodeSocket"
+) -> "bpy.types.NodeSocket":
+    node = tree.nodes.new("ShaderNodeCombineColor")
+    for socket in node.inputs:
+        tree.links.new(value, socket)
+    return node.outputs[0]
+
+
+def _height(
+    tree: "bpy.types.NodeTree", vector: "bpy.types.NodeSocket"
+) -> "bpy.types.NodeSocket":
+    split = tree.nodes.new("ShaderNodeSeparateXYZ")
+    tree.links.new(vector, split.inputs[0])
+    return split.outputs["Z"]
+
+
+def _between(
+    tree: "bpy.types.NodeTree",
+    share: object,
+    a: "bpy.types.NodeSocket",
+    b: "bpy.types.NodeSocket",
+) -> "bpy.types.NodeSocket":
+    node = tree.nodes.new("ShaderNodeMix")
+    node.data_type = "RGBA"
+    _feed(tree, node.inputs[0], share)
+    tree.links.new(a, node.inputs[6])
+    tree.links.new(b, node.inputs[7])
+    return node.outputs[2]
+
+
+def _gradient(
+    tree: "bpy.types.NodeTree",
+    height: "bpy.types.NodeSocket",
+    zenith: np.ndarray,
+    horizon: np.ndarray,
+    ground: np.ndarray,
+) -> "bpy.types.NodeSocket":
+    """Returns the sky's radiance by the z of a direction (`shading.sky_radiance`)."""
+    below = _ramp(tree, height, ground, horizon, (2.0, 1.0))
+    above = _ramp(tree, height, zenith, horizon, (1.0, 0.5))
+    return _between(tree, _math(tree, "GREATER_THAN", height, 0.0), below, above)
 
 
 def _mix(
@@ -240,22 +360,10 @@ def _sky(sky: np.ndarray) -> None:
     world.use_nodes = True
     tree = world.node_tree
     tree.nodes.clear()
-    split = tree.nodes.new("ShaderNodeSeparateXYZ")
-    place = tree.nodes.new("ShaderNodeTexCoord")
-    tree.links.new(place.outputs["Generated"], split.inputs[0])
-    below = _ramp(tree, split.outputs["Z"], ground, horizon, (2.0, 1.0))
-    above = _ramp(tree, split.outputs["Z"], zenith, horizon, (1.0, 0.5))
-    sign = tree.nodes.new("ShaderNodeMath")
-    sign.operation = "GREATER_THAN"
-    sign.inputs[1].default_value = 0.0
-    tree.links.new(split.outputs["Z"], sign.inputs[0])
-    choose = tree.nodes.new("ShaderNodeMix")
-    choose.data_type = "RGBA"
-    tree.links.new(sign.outputs[0], choose.inputs[0])
-    tree.links.new(below, choose.inputs[6])
-    tree.links.new(above, choose.inputs[7])
+    place = tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+    color = _gradient(tree, _height(tree, place), zenith, horizon, ground)
     shade = tree.nodes.new("ShaderNodeBackground")
-    tree.links.new(choose.outputs[2], shade.inputs["Color"])
+    tree.links.new(color, shade.inputs["Color"])
     output = tree.nodes.new("ShaderNodeOutputWorld")
     tree.links.new(shade.outputs[0], output.inputs["Surface"])
     world.cycles.sampling_method = "NONE"  # else half the light samples go to it

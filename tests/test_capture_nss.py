@@ -241,7 +241,6 @@ def test_full_hd_frames_are_read_within_a_second_each(tmp_path):
     size = (1080, 1920)
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float32)
     noise = np.random.default_rng(0).random(size, np.float32)
-    meta, _ = captures.rendered()
     image = (0.5 + 0.5 * np.sin(0.02 * x + 0.01 * y) + 0.1 * noise).astype(np.float16)
     folder = tmp_path / "set"
     frames = 3  # of ten: the time a frame is the same

@@ -1,5 +1,6 @@
-"""Checks of colour, values and order: encodings, NaN, jitter, frozen and lost frames."""
+"""Checks of colour, values and order: encodings, NaN, jitter, lost frames."""
 
+import itertools
 from dataclasses import replace
 from typing import get_args
 
@@ -64,7 +65,7 @@ def _finite(stills: Stills) -> list[Finding]:
 def _order(stills: Stills) -> list[Finding]:
     found = []
     frames = stills.capture.frames
-    for before, after in zip(frames, frames[1:], strict=False):
+    for before, after in itertools.pairwise(frames):
         step = after.number - before.number
         if step != 1 and not after.cut:
             text = f"frame {after.number} follows frame {before.number}"
@@ -160,9 +161,9 @@ def _encoded(
         ERROR,
         "encoded colour",
         "",
-        f"colour was promised {declared}, but is {words[seen]}: no value exceeds 1, and "
-        f"at edges the reference is the mean of the samples to {rest:.4f} when decoded, "
-        f"{abs(own):.4f} as stored ({abs(own) / sigma:.0f} standard errors)",
+        f"colour was promised {declared}, but is {words[seen]}: no value exceeds 1, "
+        f"and at edges the reference is the mean of the samples to {rest:.4f} when "
+        f"decoded, {abs(own):.4f} as stored ({abs(own) / sigma:.0f} standard errors)",
         f'capture before tone map and encoding, or write color = "{seen}"',
     )
 
@@ -175,8 +176,8 @@ def _unknown_encoding(declared: str, top: float) -> list[Finding]:
             NOTE,
             "dim or encoded colour",
             "",
-            f"no value of the colour exceeds {top:.3g}; nothing tells a dim scene from a "
-            "tone-mapped or encoded one",
+            f"no value of the colour exceeds {top:.3g}; nothing tells a dim scene from "
+            "a tone-mapped or encoded one",
             "make sure that it was captured before the tone map",
         )
     ]

@@ -370,8 +370,8 @@ def _dropped(stills: Stills, geometry: _Geometry, result: Motion) -> None:
                     ERROR,
                     "dropped frame",
                     f"before frame {frame}",
-                    f"the motion spans {share:.2f} of the camera's step since the frame "
-                    f"before; {1.0 / share - 1.0:.0f} are missing",
+                    f"the motion spans {share:.2f} of the camera's step since the "
+                    f"frame before; {1.0 / share - 1.0:.0f} are missing",
                     "capture the sequence again, or mark this frame as a cut",
                 )
             )
@@ -397,7 +397,7 @@ def _without_camera(stills: Stills, result: Motion, *, known: bool) -> None:
             )
     found, changes = [], []
     jittered = all(still.reference is None for still in stills.frames)
-    for number, (then, now) in enumerate(stills.pairs(), 1):
+    for then, now in stills.pairs():
         stored = evidence.stored_motion(stills, now)
         m = evidence.motion_px(stored, result.conventions, stills.capture.size)
         s = evidence.shift(
@@ -409,7 +409,6 @@ def _without_camera(stills: Stills, result: Motion, *, known: bool) -> None:
         # Jittered images differ by the jitter's change themselves.
         found.append((change if jittered else 0.0) - s)
         changes.append(change)
-        del number
     _judge_jitter(stills, evidence.slope(found, changes), "by the images", result)
     own = evidence.photometric(stills, result.conventions)
     for offset in (-1, 1):

@@ -42,7 +42,7 @@ class Part:
     value_bytes: int  # of one pixel
 
 
-class _Damaged(Exception):
+class _DamagedError(Exception):
     """Says what is wrong with a header."""
 
 
@@ -60,8 +60,10 @@ def look(file: Path) -> list[Part]:
         raise InputError(f"{file} cannot be read ({error.strerror})") from None
     try:
         parts = _parse(data)
-    except (_Damaged, struct.error, IndexError) as error:
-        reason = str(error) if isinstance(error, _Damaged) else "its header is cut off"
+    except (_DamagedError, struct.error, IndexError) as error:
+        reason = (
+            str(error) if isinstance(error, _DamagedError) else "its header is cut off"
+        )
         raise InputError(f"{file} is no usable OpenEXR file: {reason}") from None
     _refuse_large(file, parts, length)
     return parts
@@ -86,9 +88,9 @@ def _refuse_large(file: Path, parts: list[Part], length: int) -> None:
 def _parse(data: bytes) -> list[Part]:
     magic, version = struct.unpack_from("<ii", data, 0)
     if magic != _MAGIC:
-        raise _Damaged("it does not begin as one")
+        raise _DamagedError("it does not begin as one")
     if version & 0xFF != 2 or version & 0x800:
-        raise _Damaged("deep images and other versions than 2 are not read")
+        raise _DamagedError("deep images and other versions than 2 are not read")
     multiple = bool(version & 0x1000)
     at, parts = 8, []
     while len(parts) <= MAX_PARTS:
@@ -99,9 +101,9 @@ def _parse(data: bytes) -> list[Part]:
         if not multiple:
             break
     else:
-        raise _Damaged(f"it has more than {MAX_PARTS} parts")
+        raise _DamagedError(f"it has more than {MAX_PARTS} parts")
     if not parts:
-        raise _Damaged("it has no part")
+        raise _DamagedError("it has no part")
     return parts
 
 
@@ -114,7 +116,7 @@ def _attributes(data: bytes, at: int) -> tuple[dict[str, bytes], int]:
         (size,) = struct.unpack_from("<i", data, at)
         at += 4
         if size < 0 or at + size > len(data):
-            raise _Damaged(f"its attribute '{name[:40]}' is cut off or too long")
+            raise _DamagedError(f"its attribute '{name[:40]}' is cut off or too long")
         found[name] = data[at : at + size]
         at += size
     return found, at + 1
@@ -123,25 +125,29 @@ def _attributes(data: bytes, at: int) -> tuple[dict[str, bytes], int]:
 def _text(data: bytes, at: int) -> tuple[str, int]:
     end = data.find(b"\0", at, at + 256)
     if end < 0:
-        raise _Damaged("a name in its header does not end")
+        raise _DamagedError("a name in its header does not end")
     return data[at:end].decode("utf-8", "replace"), end + 1
 
 
 def _part(attributes: Mapping[str, bytes]) -> Part:
     for name in ("channels", "dataWindow", "displayWindow", "compression"):
         if name not in attributes:
-            raise _Damaged(f"its header has no '{name}'")
+            raise _DamagedError(f"its header has no '{name}'")
     window = struct.unpack_from("<4i", attributes["dataWindow"])
     if window != struct.unpack_from("<4i", attributes["displayWindow"]):
-        raise _Damaged("its data window is not its display window; write whole frames")
+        raise _DamagedError(
+            "its data window is not its display window; write whole frames"
+        )
     width, height = window[2] - window[0] + 1, window[3] - window[1] + 1
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise _Damaged(
+        raise _DamagedError(
             f"it is {width}×{height} pixels; 1 to {MAX_SIDE} a side can be read"
         )
     kind = attributes.get("type", b"scanlineimage").rstrip(b"\0")
     if kind not in (b"scanlineimage", b"tiledimage"):
-        raise _Damaged(f"it holds a {kind[:20].decode('ascii', 'replace')}, no image")
+        raise _DamagedError(
+            f"it holds a {kind[:20].decode('ascii', 'replace')}, no image"
+        )
     names, total = [], 0
     data, at = attributes["channels"], 0
     while data[at] != 0:
@@ -149,13 +155,13 @@ def _part(attributes: Mapping[str, bytes]) -> Part:
         pixel, _, step_x, step_y = struct.unpack_from("<iB3x2i", data, at)
         at += 16
         if pixel not in _BYTES:
-            raise _Damaged(f"channel '{name[:40]}' has the unknown type {pixel}")
+            raise _DamagedError(f"channel '{name[:40]}' has the unknown type {pixel}")
         if (step_x, step_y) != (1, 1):
-            raise _Damaged(f"channel '{name[:40]}' is subsampled")
+            raise _DamagedError(f"channel '{name[:40]}' is subsampled")
         names.append(name)
         total += _BYTES[pixel]
     if not names:
-        raise _Damaged("it has no channel")
+        raise _DamagedError("it has no channel")
     part = attributes.get("name", b"").rstrip(b"\0").decode("utf-8", "replace")
     return Part(part, (height, width), tuple(names), total)
 

@@ -105,8 +105,8 @@ def _ratio(folder: Path) -> int:
     if not whole:
         held = ", ".join(names) or "none"
         raise InputError(
-            f"NSS data set {folder} has no x1 and no other whole ratio to use at its own "
-            f"resolution (it has {held}); capture at x1"
+            f"NSS data set {folder} has no x1 and no other whole ratio to use at its "
+            f"own resolution (it has {held}); capture at x1"
         )
     return whole[0]
 

@@ -429,9 +429,9 @@ def linear_depth(
     near, far = meta.near, meta.far
     share = 1.0 if np.isinf(far) else (far - near) / far
     rest = 1.0 - share * forward
-    sky = forward >= 1.0
-    depth = near / np.where(rest > 0.0, rest, 1.0)
-    return np.where(sky | (rest <= 0.0), np.inf, depth).astype(np.float32)
+    sky = np.asarray((forward >= 1.0) | (rest <= 0.0))
+    depth = near / np.where(sky, 1.0, rest)
+    return np.where(sky, np.inf, depth).astype(np.float32)
 
 
 def tangents(meta: Frame, size: tuple[int, int]) -> tuple[float, float]:

@@ -51,7 +51,9 @@ def write(
     decoded = colors.srgb_decode(jnp.asarray(image, jnp.float32))
     linear = np.asarray(colors.inverse_tonemap(decoded))
     exposure = np.float32(capture.frames[capture.place(frame)].exposure)
-    planes = {c: linear[..., k] / exposure for k, c in enumerate("RGB")}
+    planes: dict[str, np.ndarray] = {
+        c: linear[..., k] / exposure for k, c in enumerate("RGB")
+    }
     if output is not None:
         method, hold = segmentation.unpack_mask(output.segmentation.mask)
         planes["mask.method"] = np.asarray(method).astype(np.uint32)
