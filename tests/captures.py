@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import capture, color, world
-from ataa_jax.capture.record import Capture, Conventions, Frame
+from ataa_jax.capture.conventions import Conventions, Frame
+from ataa_jax.capture.record import Capture
 
 SIZE, FRAMES = (54, 96), 6
 NEAR, FAR = 0.1, 200.0
@@ -17,11 +18,17 @@ Images = list[dict[str, np.ndarray]]
 
 
 @functools.cache
+def built_in() -> world.World:
+    """Loads the scene once: another tracer would compile every stage anew."""
+    return world.load("builtin")
+
+
+@functools.cache
 def rendered(
     frames: int = FRAMES, size: tuple[int, int] = SIZE, motion: float = 0.03
 ) -> tuple[Capture, tuple[dict[str, np.ndarray], ...]]:
     """Renders the built-in scene on a walk."""
-    shot = world.shot(world.load("builtin"), "walk", size, motion=motion)
+    shot = world.shot(built_in(), "walk", size, motion=motion)
     meta, drawn = capture.render(shot, frames, reference_samples=16)
     return meta, tuple(drawn)
 

@@ -18,6 +18,7 @@ from ataa_jax import capture, color, compare, metrics, raster, sampling, world
 from ataa_jax import pipeline as pipelines
 from ataa_jax.capture import check, exr
 from ataa_jax.types import METHOD_ATAA
+from tests import captures
 
 DATA = Path(__file__).parents[1] / "data" / "capture"
 SIZE = (90, 160)
@@ -25,7 +26,7 @@ SIZE = (90, 160)
 
 @pytest.fixture(scope="module")
 def shot():
-    return world.shot(world.load("builtin"), "walk", SIZE)
+    return world.shot(captures.built_in(), "walk", SIZE)
 
 
 def test_the_capture_is_small():

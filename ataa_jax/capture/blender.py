@@ -12,8 +12,9 @@ without it a folder of such files is read too, but its jitter is unknown.
 from pathlib import Path
 
 from ataa_jax.capture import exr, plain
+from ataa_jax.capture.conventions import Conventions, Frame, Layer
 from ataa_jax.capture.fields import Table
-from ataa_jax.capture.record import Capture, Conventions, Frame, Layer
+from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 
 _PASSES: dict[str, tuple[str, tuple[str, ...]]] = {

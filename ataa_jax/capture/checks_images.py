@@ -9,9 +9,10 @@ import numpy as np
 
 from ataa_jax import color as colors
 from ataa_jax.capture import evidence
+from ataa_jax.capture.conventions import Encoding, Frame
 from ataa_jax.capture.evidence import Stills
 from ataa_jax.capture.findings import ERROR, NOTE, WARNING, Finding
-from ataa_jax.capture.record import Encoding, Frame, linear_color
+from ataa_jax.capture.readings import linear_color
 
 _EDGE = 0.1  # range of tone-mapped luma in the 3×3 that makes an edge
 # our choice: chance alone exceeds it once in a thousand captures, after the standard

@@ -18,17 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import color as colors
-from ataa_jax.capture.record import (
+from ataa_jax.capture.conventions import (
     CURRENT_MINUS_PREVIOUS,
     PREVIOUS_MINUS_CURRENT,
-    Capture,
     Conventions,
     Depth,
     Frame,
-    linear_depth,
-    motion_px,
-    tangents,
 )
+from ataa_jax.capture.readings import linear_depth, motion_px, tangents
+from ataa_jax.capture.record import Capture
 
 # our choice: medians of so many pixels are steady, and 1080p takes milliseconds.
 GRID = 16384

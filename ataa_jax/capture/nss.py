@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 
 from ataa_jax.capture import exr
+from ataa_jax.capture.conventions import Conventions, Frame, Layer, Pose
 from ataa_jax.capture.fields import Table, read_json
 from ataa_jax.capture.findings import ERROR, WARNING, Finding
-from ataa_jax.capture.record import Capture, Conventions, Frame, Layer, Pose
+from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 
 _SEQUENCE = re.compile(r"\d{4,}\.json")

@@ -28,12 +28,10 @@ import tomli_w
 
 from ataa_jax import files
 from ataa_jax.capture import exr
-from ataa_jax.capture.fields import Table
-from ataa_jax.capture.record import (
+from ataa_jax.capture.conventions import (
     CURRENT_MINUS_PREVIOUS,
     PREVIOUS_MINUS_CURRENT,
     SAMPLE_COUNTS,
-    Capture,
     Conventions,
     Depth,
     Encoding,
@@ -42,6 +40,8 @@ from ataa_jax.capture.record import (
     Pose,
     Unit,
 )
+from ataa_jax.capture.fields import Table
+from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 
 NAME = "capture.toml"

@@ -1,18 +1,14 @@
-"""What a captured sequence is, whichever layout it came in, and its reading.
+"""What a captured sequence is, whichever layout it came in.
 
 A `Capture` knows for every frame which channels of which files hold what, and by which
 `Conventions` they are to be understood. `Capture.draw` gives what the raster stage
 would: colour and G-buffer in the package's own conventions.
-
-Symbols: a *reading* is one set of conventions; a motion vector m of the package is
-previous − current position in px, x right, y down, jitter removed.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,70 +16,19 @@ from jaxtyping import Array, Bool
 
 from ataa_jax import color as colors
 from ataa_jax.capture import exr
+from ataa_jax.capture.conventions import Conventions, Frame, Pose
 from ataa_jax.capture.findings import Finding
+from ataa_jax.capture.readings import (
+    linear_color,
+    linear_depth,
+    motion_px,
+    sky_motion,
+    valid_motion,
+)
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import RaytraceOutput
 from ataa_jax.types import Camera, FrameInputs, GBuffer
-
-PREVIOUS_MINUS_CURRENT = "previous - current"
-CURRENT_MINUS_PREVIOUS = "current - previous"
-SAMPLE_COUNTS = (2, 4, 8, 16)
-
-Encoding = Literal["linear", "srgb", "tonemapped", "display"]
-Depth = Literal["linear", "distance", "device", "device reversed"]
-Unit = Literal["px", "half px", "uv", "ndc"]
-
-
-@dataclass(frozen=True)
-class Conventions:
-    """How the stored numbers are to be read; None: the layout does not say."""
-
-    # linear: radiance; srgb: that, sRGB-encoded; tonemapped: x / (1 + max rgb);
-    # display: tone-mapped, then sRGB-encoded.
-    color: Encoding = "linear"
-    average: colors.Average = "tonemap"  # in which reference and samples are means
-    motion_unit: Unit = "px"
-    motion_sign: str | None = PREVIOUS_MINUS_CURRENT
-    motion_y: Literal["down", "up"] | None = "down"
-    motion_axes: Literal["xy", "yx"] = "xy"
-    motion_jittered: bool = False  # True: the jitter's change is part of it
-    # linear: along the view axis, scene units; distance: along the pixel's ray;
-    # device: 0 at the near plane, 1 at the far; device reversed: 1 at the near plane.
-    depth: Depth = "linear"
-    camera_y: Literal["up", "down"] | None = "up"  # of the camera's second axis
-    jitter_stated: bool = True  # False: its signs are inferred from the images
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """The camera of one frame."""
-
-    world_from_view: np.ndarray  # float64 (4, 4), rigid, looks down −z
-    tan_half: tuple[float, float]  # of the horizontal (NaN: square pixels) and
-    # vertical field of view
-
-
-@dataclass(frozen=True)
-class Layer:
-    """Where one image lies: a file of the folder, and its channels in order."""
-
-    file: str
-    channels: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame's metadata, and where its images lie."""
-
-    number: int  # as the capture counts
-    layers: dict[str, Layer]  # color, depth, motion, …, reference, samples2, …
-    jitter: tuple[float, float] | None = None  # px from the pixel centre, y down
-    cut: bool = False
-    pose: Pose | None = None
-    near: float = float("nan")
-    far: float = float("inf")
-    exposure: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +145,7 @@ class Capture:
             sky = sky_motion(self.frames[index - 1], meta, self.size)
             if sky is not None:
                 motion = np.where(np.isinf(depth)[..., None], sky, motion)
-        motion, valid = _valid_motion(motion, raw.motion_valid, self.size)
+        motion, valid = valid_motion(motion, raw.motion_valid, self.size)
         drawn = RasterOutput(
             color=jnp.asarray(self._linear(color, meta)),
             gbuffer=GBuffer(
@@ -339,123 +284,3 @@ def _decoded(file: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         raise InputError(f"{file} cannot be read ({error.strerror})") from None
     return _cached(file, (state.st_mtime_ns, state.st_size))
-
-
-def motion_px(
-    stored: np.ndarray, conventions: Conventions, size: tuple[int, int]
-) -> np.ndarray:
-    """Reads stored motion as previous − current position, px, x right, y down.
-
-    Args:
-        stored: (..., 2).
-        conventions: sign, axes and unit; where it names none, the package's own.
-        size: image (height, width).
-
-    Returns:
-        float32, the same shape; jitter is not removed.
-    """
-    motion = stored[..., ::-1] if conventions.motion_axes == "yx" else stored
-    height, width = size
-    scale = np.ones(2, np.float32)
-    if conventions.motion_unit == "uv":
-        scale = np.array([width, height], np.float32)
-    elif conventions.motion_unit == "ndc":  # −1 to 1 across the image
-        scale = np.array([width, height], np.float32) / np.float32(2.0)
-    elif conventions.motion_unit == "half px":  # of an image of half the size
-        scale = scale * np.float32(2.0)
-    if conventions.motion_sign == CURRENT_MINUS_PREVIOUS:
-        scale = -scale
-    if conventions.motion_y == "up":
-        scale = scale * np.array([1.0, -1.0], np.float32)
-    return (motion * scale).astype(np.float32)
-
-
-def sky_motion(then: Frame, now: Frame, size: tuple[int, int]) -> np.ndarray | None:
-    """Returns the motion of the infinitely far by the camera, (h, w, 2) px, or None.
-
-    Directions of pixel centres are turned into the view of the frame before; where one
-    lies behind it, the motion is NaN.
-    """
-    if then.pose is None or now.pose is None:
-        return None
-    (tan_x, tan_y), (then_x, then_y) = tangents(now, size), tangents(then, size)
-    y, x = np.mgrid[: size[0], : size[1]] + 0.5
-    direction = np.stack(
-        [
-            (2.0 * x / size[1] - 1.0) * tan_x,
-            (1.0 - 2.0 * y / size[0]) * tan_y,
-            -np.ones(size),
-        ],
-        axis=-1,
-    )
-    turn = then.pose.world_from_view[:3, :3].T @ now.pose.world_from_view[:3, :3]
-    view = direction @ turn.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at_x = (view[..., 0] / -view[..., 2] / then_x + 1.0) * size[1] / 2.0
-        at_y = (1.0 - view[..., 1] / -view[..., 2] / then_y) * size[0] / 2.0
-    motion = np.stack([at_x - x, at_y - y], axis=-1)
-    return np.where((view[..., 2] < 0.0)[..., None], motion, np.nan).astype(np.float32)
-
-
-def _valid_motion(
-    motion: np.ndarray, told: np.ndarray | None, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns finite motion, and where the previous position lies inside the view."""
-    finite = np.isfinite(motion).all(axis=-1)
-    motion = np.where(finite[..., None], motion, np.float32(0.0))
-    bound = np.float32(4 * max(size))
-    motion = np.clip(motion, -bound, bound)
-    y, x = np.mgrid[: size[0], : size[1]].astype(np.float32) + np.float32(0.5)
-    at_x, at_y = x + motion[..., 0], y + motion[..., 1]
-    inside = (at_x >= 0) & (at_x <= size[1]) & (at_y >= 0) & (at_y <= size[0])
-    valid = finite & inside
-    return motion, valid if told is None else valid & told
-
-
-def linear_depth(
-    stored: np.ndarray, kind: Depth, meta: Frame, size: tuple[int, int]
-) -> np.ndarray:
-    """Reads stored depth as distance along the view axis; sky is inf.
-
-    With n and f the planes' distances, a forward device depth is
-    d = f (z − n) / (z (f − n)), and 1 − n/z where f is infinite.
-    """
-    value = stored.astype(np.float64)
-    if kind == "linear":
-        return np.where(value >= 1e9, np.inf, value).astype(np.float32)
-    if kind == "distance":
-        return _along_axis(value, meta, size)
-    forward = 1.0 - value if kind == "device reversed" else value
-    near, far = meta.near, meta.far
-    share = 1.0 if np.isinf(far) else (far - near) / far
-    rest = 1.0 - share * forward
-    sky = np.asarray((forward >= 1.0) | (rest <= 0.0))
-    depth = near / np.where(sky, 1.0, rest)
-    return np.where(sky, np.inf, depth).astype(np.float32)
-
-
-def tangents(meta: Frame, size: tuple[int, int]) -> tuple[float, float]:
-    """Returns the tangents of half the fields of view, horizontal and vertical."""
-    tan_x, tan_y = (1.0, 1.0) if meta.pose is None else meta.pose.tan_half
-    return (tan_y * size[1] / size[0] if np.isnan(tan_x) else tan_x), tan_y
-
-
-def _along_axis(value: np.ndarray, meta: Frame, size: tuple[int, int]) -> np.ndarray:
-    tan_x, tan_y = tangents(meta, size)
-    y, x = np.mgrid[: size[0], : size[1]] + 0.5
-    u, v = (2.0 * x / size[1] - 1.0) * tan_x, (2.0 * y / size[0] - 1.0) * tan_y
-    depth = value / np.sqrt(1.0 + u * u + v * v)
-    return np.where(value >= 1e9, np.inf, depth).astype(np.float32)
-
-
-def linear_color(stored: np.ndarray, encoding: Encoding) -> np.ndarray:
-    """Reads stored colour as linear radiance, float32."""
-    value = stored.astype(np.float32)
-    if encoding == "linear":
-        return value
-    image = jnp.asarray(value)
-    if encoding in ("srgb", "display"):
-        image = colors.srgb_decode(image)
-    if encoding in ("tonemapped", "display"):
-        image = colors.inverse_tonemap(image)
-    return np.asarray(image)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ataa_jax import pipeline, raster, reference, sampling
-from ataa_jax.capture.record import Capture, Conventions, Frame, Pose
+from ataa_jax.capture.conventions import Conventions, Frame, Pose
+from ataa_jax.capture.record import Capture
 from ataa_jax.world import Sequence
 
 
