@@ -243,9 +243,21 @@ def test_nan_pixels_are_counted(tmp_path):
     made.images[2]["color"][3, 4:7] = np.nan
     report = check.check(capture.load(made.write(tmp_path / "capture")))
     (found,) = [f for f in report.findings if f.name == "NaN or inf pixels"]
-    assert "3 of" in found.evidence
+    assert "3 pixels of color" in found.evidence
     assert found.where == "frame 2"
     assert report.errors == []
+
+
+def test_frames_that_are_mostly_new_are_warned_of_unless_they_are_cuts(tmp_path):
+    made = draft().blind()
+    made.images[3]["motion"] = made.images[3]["motion"] + np.float32(500.0)
+    report = check.check(capture.load(made.write(tmp_path / "told not")))
+    (found,) = [f for f in report.findings if f.name == "mostly new"]
+    assert (found.severity, found.where) == (check.WARNING, "frame 3")
+    assert found.evidence.startswith("100% of the pixels")
+    made.each(lambda f: replace(f, cut=f.number in (0, 3)))
+    report = check.check(capture.load(made.write(tmp_path / "told")))
+    assert report.findings == []
 
 
 def test_a_contradiction_stops_run_and_names_both_readings(tmp_path, capsys):

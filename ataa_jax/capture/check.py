@@ -8,7 +8,14 @@ what may be as it should; a *note* what nobody can tell.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from ataa_jax.capture import checks_images, checks_motion, disocclusion, evidence, exr
+from ataa_jax.capture import (
+    checks_frames,
+    checks_images,
+    checks_motion,
+    disocclusion,
+    evidence,
+    exr,
+)
 from ataa_jax.capture.findings import ERROR, NOTE, WARNING, Finding
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
@@ -51,6 +58,7 @@ def check(
         return Report(capture, findings, [])
     progress("reading the frames", 1, 3)
     try:
+        findings += checks_frames.check(capture)
         stills = evidence.gather(capture)
     except InputError as error:
         remedy = "capture the frame again"

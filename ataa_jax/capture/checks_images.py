@@ -1,6 +1,5 @@
-"""Checks of colour, values and order: encodings, NaN, jitter, lost frames."""
+"""Checks of colour and jitter against the reference."""
 
-import itertools
 from dataclasses import replace
 from typing import get_args
 
@@ -27,103 +26,9 @@ _FOLLOWS = 0.35
 def check(stills: Stills) -> list[Finding]:
     """Returns what contradicts the metadata."""
     return [
-        *_finite(stills),
-        *_order(stills),
-        *_blocks(stills),
         *_encoding(stills),
         *_jitter(stills),
     ]
-
-
-def _finite(stills: Stills) -> list[Finding]:
-    found = []
-    for kind in ("color", "reference", "motion", "depth"):
-        broken, where, total = 0, [], 0
-        for still in stills.frames:
-            image = getattr(still, kind)
-            if image is None:
-                continue
-            bad = np.isnan(image) if kind == "depth" else ~np.isfinite(image)
-            total += int(np.prod(image.shape[:2]))
-            pixels = bad if bad.ndim == 2 else bad.any(axis=-1)
-            if pixels.any():
-                broken += int(pixels.sum())
-                where.append(still.meta.number)
-        if broken:
-            found.append(
-                Finding(
-                    WARNING,
-                    "NaN or inf pixels",
-                    f"frame {where[0]}" + (" and more" if len(where) > 1 else ""),
-                    f"{broken} of {total:,} pixels of {kind} are not finite",
-                    "they are taken as black, as sky or as without history; find the "
-                    "shader that divides by zero",
-                )
-            )
-    return found
-
-
-def _order(stills: Stills) -> list[Finding]:
-    found = []
-    frames = stills.capture.frames
-    for before, after in itertools.pairwise(frames):
-        step = after.number - before.number
-        if step != 1 and not after.cut:
-            text = f"frame {after.number} follows frame {before.number}"
-            found.append(
-                Finding(
-                    ERROR,
-                    "dropped frame",
-                    f"before frame {after.number}",
-                    f"{text}; {step - 1} are missing" if step > 1 else text,
-                    "capture the sequence again, or mark the frame after as a cut",
-                )
-            )
-    for then, now in stills.pairs():
-        same = np.array_equal(then.color, now.color, equal_nan=True)
-        if same and now.meta.jitter != then.meta.jitter:
-            found.append(
-                Finding(
-                    ERROR,
-                    "frozen frame",
-                    f"frame {now.meta.number}",
-                    "its colour equals the frame before in every pixel, though the "
-                    "jitter changed",
-                    "the frame was lost and the last one written again: capture anew",
-                )
-            )
-    return found
-
-
-def _blocks(stills: Stills) -> list[Finding]:
-    """Motion that was enlarged from half the size is equal in every 2×2 block."""
-    aligned, other = [], []
-    for still in stills.frames:
-        aligned.append(_equal_blocks(still.motion, 0))
-        other.append(_equal_blocks(still.motion, 1))
-    a, b = float(np.mean(aligned)), float(np.mean(other))
-    if a > 0.98 and b < 0.5 * a:
-        return [
-            Finding(
-                ERROR,
-                "half-resolution motion",
-                "",
-                f"{a:.0%} of the 2×2 blocks hold one motion vector, of blocks shifted "
-                f"by a pixel {b:.0%}: it was rendered at half the size and enlarged",
-                "write motion vectors at the colour's resolution, one a pixel",
-            )
-        ]
-    return []
-
-
-def _equal_blocks(motion: np.ndarray, start: int) -> float:
-    part = motion[start:, start:]
-    part = part[: part.shape[0] // 2 * 2, : part.shape[1] // 2 * 2]
-    corner = part[::2, ::2]
-    same = np.ones(corner.shape[:2], bool)
-    for dy, dx in ((0, 1), (1, 0), (1, 1)):
-        same &= np.all(part[dy::2, dx::2] == corner, axis=-1)
-    return float(same.mean()) if same.size else 0.0
 
 
 def _encoding(stills: Stills) -> list[Finding]:
@@ -210,21 +115,21 @@ def _gap(stills: Stills, encoding: Encoding) -> tuple[float, float]:
 
 
 def _range3x3(plane: np.ndarray) -> np.ndarray:
-    padded = np.pad(plane, 1, mode="edge")
-    views = [
-        padded[r : r + plane.shape[0], c : c + plane.shape[1]]
-        for r in range(3)
-        for c in range(3)
-    ]
-    return np.max(views, axis=0) - np.min(views, axis=0)
+    """Returns the largest minus the smallest of the 3×3; border: clamp to edge."""
+    high = low = np.pad(plane, 1, mode="edge")
+    high = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
+    low = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
+    high = np.maximum(np.maximum(high[:, :-2], high[:, 1:-1]), high[:, 2:])
+    low = np.minimum(np.minimum(low[:, :-2], low[:, 1:-1]), low[:, 2:])
+    return high - low
 
 
 def _reference_apart(stills: Stills, declared: Encoding) -> list[Finding]:
     """Says when colour and reference differ where there is nothing to antialias."""
+    if not abs(np.log(_flat_ratio(stills, declared))) > _FLAT:
+        return []
     ratio = {e: _flat_ratio(stills, e) for e in get_args(Encoding)}
     off = {encoding: abs(np.log(value)) for encoding, value in ratio.items()}
-    if not off[declared] > _FLAT:
-        return []
     best = min(off, key=lambda e: off[e])
     text = (
         f"in flat areas the reference is {ratio[declared]:.3f} times as bright as the "

@@ -12,6 +12,7 @@ current position in px; j the jitter; T the tone map.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import jax.numpy as jnp
@@ -30,8 +31,9 @@ from ataa_jax.capture.record import Capture
 
 # our choice: medians of so many pixels are steady, and 1080p takes milliseconds.
 GRID = 16384
+# our choice: some 60 bytes a pixel are held, so a gigabyte: 8 frames of 1080p.
+MOST_FRAMES, MOST_PIXELS = 24, 1 << 24
 _CAP = 0.2  # a pixel's error counts no more: occlusions are no evidence
-_EDGE = 0.05  # tone-mapped luma a pixel that makes a gradient
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +58,16 @@ class Stills:
     x: np.ndarray  # (n,) column indices
     y: np.ndarray  # (n,) row indices
 
+    @cached_property
+    def motions(self) -> list[np.ndarray]:
+        """Returns every frame's motion on the grid as stored, (n, 2), finite or NaN."""
+        found = []
+        for still in self.frames:
+            motion = still.motion[self.y, self.x].astype(np.float64)
+            finite = np.isfinite(motion).all(axis=-1, keepdims=True)
+            found.append(np.where(finite, motion, np.nan))
+        return found
+
     def pairs(self) -> Iterator[tuple[Still, Still]]:
         """Yields (previous, current) of frames without a cut between."""
         for then, now in zip(self.frames, self.frames[1:], strict=False):
@@ -63,12 +75,11 @@ class Stills:
                 yield then, now
 
 
-def gather(capture: Capture, most: int = 24) -> Stills:
-    """Reads the frames.
+def gather(capture: Capture) -> Stills:
+    """Reads the first frames, as many as memory allows.
 
     Args:
         capture: what to look at.
-        most: frames; later ones are not looked at.
 
     Raises:
         InputError: a file is damaged.
@@ -76,6 +87,7 @@ def gather(capture: Capture, most: int = 24) -> Stills:
     height, width = capture.size
     step = max(1, int(np.ceil(np.sqrt(height * width / GRID))))
     y, x = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    most = min(MOST_FRAMES, max(3, MOST_PIXELS // (height * width)))
     stills = [_still(capture, k) for k in range(min(len(capture.frames), most))]
     return Stills(capture, stills, x.ravel(), y.ravel())
 
@@ -84,8 +96,7 @@ def _still(capture: Capture, index: int) -> Still:
     raw, meta = capture.raw(index), capture.frames[index]
     whole = replace(capture, first=0)
     truth = whole.reference(index)
-    linear = np.asarray(whole.draw(index)[0].color)
-    color_luma = tonemapped_luma(linear)
+    color_luma = tonemapped_luma(capture.linear(raw.color, meta))
     return Still(
         meta=meta,
         color=raw.color,
@@ -101,7 +112,7 @@ def tonemapped_luma(linear: np.ndarray) -> np.ndarray:
     """Returns luma of T(x), NaN and negatives as 0."""
     image = jnp.asarray(linear, jnp.float32)
     mapped = colors.to_average(image, "tonemap")
-    return np.asarray(colors.luma(mapped), np.float64)
+    return np.asarray(colors.luma(mapped), np.float32)
 
 
 def readings(base: Conventions) -> list[Conventions]:
@@ -133,8 +144,7 @@ def sample(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def stored_motion(stills: Stills, still: Still) -> np.ndarray:
     """Returns the grid's motion as stored, NaN where it is not finite, (n, 2)."""
-    motion = still.motion[stills.y, stills.x].astype(np.float64)
-    return np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, np.nan)
+    return stills.motions[next(k for k, s in enumerate(stills.frames) if s is still)]
 
 
 def photometric(
@@ -178,7 +188,7 @@ def predicted(
         stills: the grid.
         then: metadata of the frame before.
         now: this frame.
-        depth: (h, w) linear, sky inf.
+        depth: (n,) linear, sky inf.
         down: 1.0 where the camera's second axis points up, −1.0 where down.
     """
     if now.meta.pose is None or then.pose is None:
@@ -195,7 +205,7 @@ def predicted(
         ],
         axis=-1,
     )
-    z = depth[stills.y, stills.x].astype(np.float64)
+    z = depth.astype(np.float64)
     near = np.isfinite(z) & (z > 0.0)
     point = direction * np.where(near, z, 1.0)[:, None]
     world = point @ now.meta.pose.world_from_view[:3, :3].T
@@ -230,7 +240,9 @@ def predictions(
             continue
         meta = now.meta if far is None else replace(now.meta, far=far)
         with np.errstate(all="ignore"):
-            depth = linear_depth(now.depth, kind, meta, stills.capture.size)
+            stored = now.depth[stills.y, stills.x]
+            place = stills.x + 0.5, stills.y + 0.5
+            depth = linear_depth(stored, kind, meta, stills.capture.size, place)
         found.append(
             predicted(stills, stills.frames[number - 1].meta, now, depth, down)
         )

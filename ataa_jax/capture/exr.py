@@ -52,6 +52,8 @@ def look(file: Path) -> list[Part]:
     Raises:
         InputError: no OpenEXR file, damaged, or larger than any frame.
     """
+    if file.exists() and not file.is_file():  # a pipe would wait for ever
+        raise InputError(f"{file} is no regular file")
     try:
         with file.open("rb") as stream:
             data = stream.read(_MAX_HEADER)

@@ -145,6 +145,8 @@ def _reason(error: Exception) -> str:
 
 
 def _bytes(file: Path) -> bytes:
+    if file.exists() and not file.is_file():  # a pipe would wait for ever
+        raise InputError(f"{file} is no regular file")
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)

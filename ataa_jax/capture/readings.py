@@ -73,7 +73,7 @@ def valid_motion(
     motion: np.ndarray, told: np.ndarray | None, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns finite motion, and where the previous position lies inside the view."""
-    finite = np.isfinite(motion).all(axis=-1)
+    finite = np.asarray(np.isfinite(motion).all(axis=-1))
     motion = np.where(finite[..., None], motion, np.float32(0.0))
     bound = np.float32(4 * max(size))
     motion = np.clip(motion, -bound, bound)
@@ -85,9 +85,20 @@ def valid_motion(
 
 
 def linear_depth(
-    stored: np.ndarray, kind: Depth, meta: Frame, size: tuple[int, int]
+    stored: np.ndarray,
+    kind: Depth,
+    meta: Frame,
+    size: tuple[int, int],
+    place_px: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Reads stored depth as distance along the view axis; sky is inf.
+
+    Args:
+        stored: (h, w), or of any pixels.
+        kind: what it is.
+        meta: planes and camera.
+        size: image (height, width).
+        place_px: the pixels' x and y; None: the whole image's.
 
     With n and f the planes' distances, a forward device depth is
     d = f (z − n) / (z (f − n)), and 1 − n/z where f is infinite.
@@ -96,7 +107,7 @@ def linear_depth(
     if kind == "linear":
         return np.where(value >= 1e9, np.inf, value).astype(np.float32)
     if kind == "distance":
-        return _along_axis(value, meta, size)
+        return _along_axis(value, meta, size, place_px)
     forward = 1.0 - value if kind == "device reversed" else value
     near, far = meta.near, meta.far
     share = 1.0 if np.isinf(far) else (far - near) / far
@@ -112,9 +123,16 @@ def tangents(meta: Frame, size: tuple[int, int]) -> tuple[float, float]:
     return (tan_y * size[1] / size[0] if np.isnan(tan_x) else tan_x), tan_y
 
 
-def _along_axis(value: np.ndarray, meta: Frame, size: tuple[int, int]) -> np.ndarray:
+def _along_axis(
+    value: np.ndarray,
+    meta: Frame,
+    size: tuple[int, int],
+    place_px: tuple[np.ndarray, np.ndarray] | None,
+) -> np.ndarray:
     tan_x, tan_y = tangents(meta, size)
     y, x = np.mgrid[: size[0], : size[1]] + 0.5
+    if place_px is not None:
+        x, y = place_px
     u, v = (2.0 * x / size[1] - 1.0) * tan_x, (2.0 * y / size[0] - 1.0) * tan_y
     depth = value / np.sqrt(1.0 + u * u + v * v)
     return np.where(value >= 1e9, np.inf, depth).astype(np.float32)

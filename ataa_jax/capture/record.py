@@ -147,7 +147,7 @@ class Capture:
                 motion = np.where(np.isinf(depth)[..., None], sky, motion)
         motion, valid = valid_motion(motion, raw.motion_valid, self.size)
         drawn = RasterOutput(
-            color=jnp.asarray(self._linear(color, meta)),
+            color=jnp.asarray(self.linear(color, meta)),
             gbuffer=GBuffer(
                 depth=jnp.asarray(np.where(np.isnan(depth), np.inf, depth)),
                 motion=jnp.asarray(motion),
@@ -177,7 +177,7 @@ class Capture:
         stored = self.pixels(index, "reference")
         if stored is None:
             return None
-        linear = self._linear(stored, self.frames[index])
+        linear = self.linear(stored, self.frames[index])
         if self.reference_ratio == 1:
             return linear
         k = self.reference_ratio
@@ -193,7 +193,7 @@ class Capture:
         """Returns the image of `count` samples a pixel, linear, or None."""
         index = self.place(frame)
         stored = self.pixels(index, f"samples{count}")
-        return None if stored is None else self._linear(stored, self.frames[index])
+        return None if stored is None else self.linear(stored, self.frames[index])
 
     def stand_in(self, samples: int) -> tuple[str, str]:
         """Returns which image stands in for rays, and the sentence that says so.
@@ -247,7 +247,8 @@ class Capture:
         """Returns the capture with its first frames given to the lead-in."""
         return replace(self, first=lead_in)
 
-    def _linear(self, stored: np.ndarray, meta: Frame) -> np.ndarray:
+    def linear(self, stored: np.ndarray, meta: Frame) -> np.ndarray:
+        """Returns stored colour as exposed linear radiance."""
         return linear_color(stored, self.conventions.color) * np.float32(meta.exposure)
 
     def _inputs(self, index: int) -> FrameInputs:
