@@ -223,13 +223,10 @@ CORRECT: dict[str, Callable[[Draft], object]] = {
     "dim": lambda d: d.paint("color", lambda c: 0.05 * c).paint(
         "reference", lambda c: 0.05 * c
     ),
-    "still camera": lambda d: d.paint("motion", np.zeros_like).each(
-        lambda f: replace(f, pose=d.meta.frames[0].pose)
-    ),
 }
 
 
-@pytest.mark.parametrize("name", [n for n in CORRECT if n != "still camera"])
+@pytest.mark.parametrize("name", CORRECT)
 def test_a_correct_capture_has_no_errors_and_no_warnings(tmp_path, name):
     made = draft()
     CORRECT[name](made)
@@ -246,6 +243,16 @@ def test_nan_pixels_are_counted(tmp_path):
     assert "3 pixels of color" in found.evidence
     assert found.where == "frame 2"
     assert report.errors == []
+
+
+def test_a_camera_that_only_stands_confirms_no_depth(tmp_path):
+    made = draft().paint("motion", np.zeros_like)
+    first = made.meta.frames[0].pose
+    made.each(lambda f: replace(f, pose=first))
+    report = check.check(capture.load(made.write(tmp_path / "capture")))
+    assert "not confirmed" in dict(report.facts)["depth"]
+    moving = check.check(capture.load(draft().write(tmp_path / "moving")))
+    assert "depth" not in dict(moving.facts)
 
 
 def test_frames_that_are_mostly_new_are_warned_of_unless_they_are_cuts(tmp_path):

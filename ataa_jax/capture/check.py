@@ -70,12 +70,27 @@ def check(
     findings += checks_images.check(stills)
     motion = checks_motion.check(stills)
     settled = replace(capture, conventions=motion.conventions)
-    findings += motion.findings
+    findings = _without_echoes([*findings, *motion.findings])
     facts = [*facts, *motion.facts]
     if not any(finding.severity == ERROR for finding in findings):
         new, told = disocclusion.check(settled)
         findings, facts = [*findings, *new], [*facts, *told]
     return Report(settled, findings, facts)
+
+
+# What else a mistake may look like: a wrong jitter bends the predicted motion a little,
+# and a frozen frame does not show its own jitter.
+_ECHOES = {
+    "jitter sign": {"off by one frame"},
+    "missing jitter": {"off by one frame"},
+    "frozen frame": {"jitter sign", "missing jitter", "off by one frame"},
+}
+
+
+def _without_echoes(found: list[Finding]) -> list[Finding]:
+    """Leaves out what only follows from another finding."""
+    echoes = set().union(*(_ECHOES.get(finding.name, set()) for finding in found))
+    return [finding for finding in found if finding.name not in echoes]
 
 
 def refuse(report: Report) -> None:

@@ -48,6 +48,7 @@ class _Geometry:
     declared: float  # px, of the declared depth under its best motion reading
     size: float  # px, median length of the predicted motion
     precision: float  # px, what the storage resolves
+    told: bool  # another reading of depth would have predicted another motion
 
     @property
     def decisive(self) -> bool:
@@ -138,11 +139,14 @@ def _geometry(stills: Stills) -> _Geometry | None:
     best = own
     if own[0] > 3.0 * least + precision:
         best = min(tried, key=lambda t: t[0])
+    ranks = {t[1] for t in tried}
+    each = [min(t[0] for t in tried if t[1] == rank) for rank in ranks]
+    told = max(each) > 3.0 * least + precision
     residual, _, kind, far, down, expected, reading = best
     lengths = [np.linalg.norm(p, axis=-1) for p in expected if p is not None]
     size = float(np.nanmedian(np.concatenate(lengths)))
     return _Geometry(
-        kind, far, down, expected, reading, residual, own[0], size, precision
+        kind, far, down, expected, reading, residual, own[0], size, precision, told
     )
 
 
@@ -186,6 +190,9 @@ def _reading(stills: Stills, geometry: _Geometry | None, result: Motion) -> None
             ("motion of still things, median", f"{geometry.size:.3f} px"),
             ("its difference from the stored motion", f"{geometry.residual:.3f} px"),
         ]
+        if not geometry.told:
+            word = "not confirmed: a camera that stands or only turns tells nothing"
+            result.facts.append(("depth", word))
     settled = own
     by_camera = own not in fits
     votes = np.mean(errors[own] > errors[best] * _WORSE)
@@ -196,7 +203,7 @@ def _reading(stills: Stills, geometry: _Geometry | None, result: Motion) -> None
         if by_camera and geometry is not None:
             number += f", camera and depth agree to {geometry.residual:.3f} px"
         _contradict(declared, own, best, number, result)
-    elif means[own] > 0.98 * still and still > 1.0:
+    elif _explains_nothing(stills, means[own], still):
         result.findings.append(
             Finding(
                 WARNING,
@@ -215,6 +222,12 @@ def _reading(stills: Stills, geometry: _Geometry | None, result: Motion) -> None
         motion_unit=settled.motion_unit,
     )
     _say_inferred(declared, result)
+
+
+def _explains_nothing(stills: Stills, moved: float, still: float) -> bool:
+    """Returns whether the motion is no help; one sample a pixel is too noisy to say."""
+    measurable = all(s.reference is not None for s in stills.frames)
+    return measurable and moved > 0.98 * still and still > 4.0
 
 
 def _agrees(reading: Conventions, declared: Conventions) -> bool:
@@ -296,7 +309,13 @@ def _jitter_in_motion(stills: Stills, geometry: _Geometry, result: Motion) -> bo
     """Says when the stored motion follows the jitter, by camera and depth."""
     found = evidence.offsets(stills, geometry.reading, geometry.expected)
     changes = _changes(stills)
-    pairs = [(f, c) for f, c in zip(found, changes, strict=True) if f is not None]
+    pairs = [
+        (f, c)
+        for f, c in zip(found, changes, strict=True)
+        if f is not None and np.linalg.norm(f) < 1.5  # more than any jitter's change
+    ]
+    if not pairs:
+        return False
     k = evidence.slope([f for f, _ in pairs], [c for _, c in pairs])
     return _judge_jitter(stills, k, "by camera and depth", result)
 
@@ -396,7 +415,8 @@ def _without_camera(stills: Stills, result: Motion, *, known: bool) -> None:
                 )
             )
     found, changes = [], []
-    jittered = all(still.reference is None for still in stills.frames)
+    # One sample a pixel is too noisy to show a shift of a fraction of a pixel.
+    jittered = any(still.reference is None for still in stills.frames)
     for then, now in stills.pairs():
         stored = evidence.stored_motion(stills, now)
         m = evidence.motion_px(stored, result.conventions, stills.capture.size)
@@ -406,10 +426,10 @@ def _without_camera(stills: Stills, result: Motion, *, known: bool) -> None:
         j_now = np.asarray(now.meta.jitter or (0.0, 0.0))
         j_then = np.asarray(then.meta.jitter or (0.0, 0.0))
         change = j_now - j_then
-        # Jittered images differ by the jitter's change themselves.
-        found.append((change if jittered else 0.0) - s)
+        found.append(-s)
         changes.append(change)
-    _judge_jitter(stills, evidence.slope(found, changes), "by the images", result)
+    if not jittered:
+        _judge_jitter(stills, evidence.slope(found, changes), "by the images", result)
     own = evidence.photometric(stills, result.conventions)
     for offset in (-1, 1):
         other = evidence.photometric(stills, result.conventions, offset)

@@ -149,3 +149,13 @@ def linear_color(stored: np.ndarray, encoding: Encoding) -> np.ndarray:
     if encoding in ("tonemapped", "display"):
         image = colors.inverse_tonemap(image)
     return np.asarray(image)
+
+
+def encoded_color(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
+    """Stores linear radiance, the inverse of `linear_color`, float32."""
+    image = jnp.asarray(linear, jnp.float32)
+    if encoding in ("tonemapped", "display"):
+        image = colors.tonemap(image)
+    if encoding in ("srgb", "display"):
+        image = colors.srgb_encode(image)
+    return np.asarray(image)
