@@ -127,15 +127,24 @@ def check_methods(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def captured_methods(shot: Capture) -> tuple[str, ...]:
-    """Returns the methods that a capture's images allow."""
-    rays = shot.sample_counts or shot.reference_samples is not None
-    counts = {f"ssaa{n}" for n in shot.sample_counts}
-    return tuple(
-        name
-        for name in METHODS
-        if (rays or not name.startswith("ataa"))
-        and (name in counts or not name.startswith("ssaa"))
-    )
+    """Returns the methods that a capture's images allow.
+
+    ATAA only at the counts of samples that it has images of: the reference standing in
+    beside them would make fewer rays look better than more. Where it has none, the
+    reference stands in for all.
+    """
+    counts = shot.sample_counts
+    if not counts and shot.reference_samples is not None:
+        counts = (2, 4, 8)
+
+    def allowed(name: str) -> bool:
+        if name.startswith("ataa"):
+            return int(name.removeprefix("ataa").partition("_")[0]) in counts
+        if name.startswith("ssaa"):
+            return int(name.removeprefix("ssaa")) in shot.sample_counts
+        return True
+
+    return tuple(name for name in METHODS if allowed(name))
 
 
 def notes(shot: Source) -> list[str]:

@@ -90,6 +90,16 @@ def test_without_samples_the_reference_stands_in_and_says_so(folder):
     assert "upper bound" in sentence
 
 
+def test_the_reference_does_not_stand_in_beside_sample_images(folder):
+    read = capture.load(folder)
+    few = capture.Capture(**{**vars(read), "sample_counts": (8,)})
+    named = set(compare.captured_methods(few))
+    assert {"taa", "ataa8", "ataa8_ue4", "ssaa8"} <= named
+    assert not {"ataa2", "ataa4", "ssaa2", "ssaa16"} & named
+    none = capture.Capture(**{**vars(read), "sample_counts": ()})
+    assert {"ataa2", "ataa4", "ataa8"} <= set(compare.captured_methods(none))
+
+
 def test_antialias_without_scene_or_stand_in_is_refused(folder):
     read = capture.load(folder)
     drawn, inputs = read.draw(0)
