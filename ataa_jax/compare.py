@@ -406,7 +406,7 @@ class _Adaptive(Runner):
         )
         self.output = output
         pixels = drawer.shot.size[0] * drawer.shot.size[1]
-        self.shadow_rays = int(output.statistics.shadow_rays)
+        self.shadow_rays = int(np.sum(output.statistics.rays.shadow))
         stats = output.statistics
         ataa, new = int(stats.ataa_pixels), int(stats.fxaa_pixels)
         self.shares = {

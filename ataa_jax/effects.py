@@ -28,6 +28,8 @@ def look(scene: Scene) -> list[Effect]:
 
     emissive = int(np.sum(np.any(np.asarray(materials.emissive)[used] > 0, axis=-1)))
     masked = int(np.sum(np.asarray(materials.alpha_masked)[used]))
+    blended = int(np.sum(np.asarray(materials.blended)[used]))
+    mirrors = int(np.sum(np.asarray(materials.mirror)[used]))
     lights = int(scene.lights.kind.shape[0])
     sky = any(
         float(np.max(np.asarray(part))) > 0
@@ -43,6 +45,10 @@ def look(scene: Scene) -> list[Effect]:
         Effect("emission", emissive > 0, f"{emissive} materials emit light"),
         Effect(glow.name, glow.on and emissive > 0, glow.reason),
         Effect("alpha mask", masked > 0, f"{masked} materials are cut by their alpha"),
+        Effect(
+            "transparency", blended > 0, f"{blended} materials let something through"
+        ),
+        Effect("reflections", mirrors > 0, f"{mirrors} materials are smooth mirrors"),
         Effect("shadows", lights > 0, f"{lights} lights, one shadow ray each"),
         Effect("sky", sky, "the sky is lit" if sky else "the scene has no sky"),
     ]
@@ -57,6 +63,8 @@ def required(scene: Scene) -> shading.Config:
         normal_maps=on["normal maps"],
         emission=on["emission"],
         emissive_textures=on["emissive textures"],
+        transparency=on["transparency"],
+        reflections=on["reflections"],
         shadows=on["shadows"],
         sky=on["sky"],
     )

@@ -40,11 +40,11 @@ from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
-    METHOD_TAA,
     Classification,
     FrameInputs,
     GBuffer,
     History,
+    Rays,
     Scene,
     Segmentation,
     State,
@@ -86,8 +86,8 @@ class Statistics(eqx.Module):
     ataa_pixels: Int[Array, ""]
     overflow_pixels: Int[Array, ""]  # asked for rays beyond the budget
     primary_rays: Int[Array, ""]  # sparse ones, of the raytrace stage
-    shadow_rays: Int[Array, ""]  # of the raytrace stage
-    raster_shadow_rays: Int[Array, ""]
+    rays: Rays  # of the raytrace stage
+    raster_rays: Rays
 
 
 class FrameOutput(eqx.Module):
@@ -222,23 +222,26 @@ def antialias(
                 config=config.taa,
             ),
         )  # fmt: skip
-    if not config.adaptive:
-        return _temporal_only(drawn, blended, params)
-    with jax.named_scope("segmentation"):
-        segmented, overflow = observe(
-            "segmentation",
-            segmentation.segment(
-                state, color, gbuffer, blended.reprojected, params.segmentation,
-                _max_pixels(params.budget, size, config.raytrace.samples),
-                config=config.segmentation,
-            ),
-        )  # fmt: skip
-    method, _ = segmentation.unpack_mask(segmented.mask)
-    with jax.named_scope("raytrace"):
-        traced = observe(
-            "raytrace",
-            _trace(trace, scene, tracer, inputs, config)(method == METHOD_ATAA),
-        )
+    if config.adaptive:
+        with jax.named_scope("segmentation"):
+            segmented, overflow = observe(
+                "segmentation",
+                segmentation.segment(
+                    state, color, gbuffer, blended.reprojected, params.segmentation,
+                    _max_pixels(params.budget, size, config.raytrace.samples),
+                    config=config.segmentation,
+                ),
+            )  # fmt: skip
+        method, _ = segmentation.unpack_mask(segmented.mask)
+        with jax.named_scope("raytrace"):
+            traced = observe(
+                "raytrace",
+                _trace(trace, scene, tracer, inputs, config)(method == METHOD_ATAA),
+            )
+    else:
+        segmented, overflow = segmentation.all_taa(size), jnp.zeros((), jnp.int32)
+        method, _ = segmentation.unpack_mask(segmented.mask)
+        traced = raytrace.nothing(size, None if scene is None else scene.lights)
     with jax.named_scope("resolve"):
         resolved = observe(
             "resolve",
@@ -246,16 +249,15 @@ def antialias(
                 segmented, color, gbuffer, blended, traced.color, params.resolve
             ),
         )
-    with jax.named_scope("fxaa"):
-        image = observe(
-            "fxaa",
-            fxaa.fxaa_sparse(
-                colors.display(resolved.composite),
-                method == METHOD_FXAA,
-                params.fxaa,
-                config=config.fxaa,
-            ),
-        )
+    image = colors.display(resolved.composite)
+    if config.adaptive:
+        with jax.named_scope("fxaa"):
+            image = observe(
+                "fxaa",
+                fxaa.fxaa_sparse(
+                    image, method == METHOD_FXAA, params.fxaa, config=config.fxaa
+                ),
+            )
     output = FrameOutput(
         image=image,
         raw=color,
@@ -270,8 +272,8 @@ def antialias(
             ataa_pixels=jnp.sum(method == METHOD_ATAA, dtype=jnp.int32),
             overflow_pixels=overflow,
             primary_rays=traced.primary_rays,
-            shadow_rays=traced.shadow_rays,
-            raster_shadow_rays=drawn.shadow_rays,
+            rays=traced.rays,
+            raster_rays=drawn.rays,
         ),
     )
     return output, State(
@@ -293,49 +295,6 @@ def _trace(
         raise InputError("without `trace`, antialias needs a scene and its tracer")
     return lambda wanted: raytrace.raytrace(
         scene, inputs, wanted, tracer=tracer, config=config.raytrace
-    )
-
-
-def _temporal_only(
-    drawn: RasterOutput, blended: taa.TaaOutput, params: Params
-) -> tuple[FrameOutput, State]:
-    """The rest of a frame of plain TAA: every pixel keeps what the TAA stage gave."""
-    size = drawn.gbuffer.depth.shape
-    zero = jnp.zeros((), jnp.int32)
-    nothing = jnp.zeros(size, jnp.float32)
-    segmented = Segmentation(
-        mask=segmentation.pack_mask(
-            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
-        ),
-        why=jnp.zeros(size, jnp.uint8),
-        score=nothing,
-        luminance=nothing,
-        depth=nothing,
-    )
-    black = jnp.zeros((*size, 3), jnp.float32)
-    resolved = resolve.resolve(
-        segmented, drawn.color, drawn.gbuffer, blended, black, params.resolve
-    )
-    output = FrameOutput(
-        image=colors.display(resolved.composite),
-        raw=drawn.color,
-        gbuffer=drawn.gbuffer,
-        taa=blended.color,
-        reprojected=blended.reprojected,
-        segmentation=segmented,
-        traced=black,
-        composite=resolved.composite,
-        statistics=Statistics(
-            fxaa_pixels=zero,
-            ataa_pixels=zero,
-            overflow_pixels=zero,
-            primary_rays=zero,
-            shadow_rays=zero,
-            raster_shadow_rays=drawn.shadow_rays,
-        ),
-    )
-    return output, State(
-        history=resolved.history, classification=resolved.classification
     )
 
 

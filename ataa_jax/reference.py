@@ -26,11 +26,13 @@ from ataa_jax import (
     camera,
     effects,
     embree,
+    layers,
     raster,
     sampling,
     shading,
     surface,
     texture,
+    transport,
     vector,
 )
 from ataa_jax import color as colors
@@ -175,11 +177,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
 
 
+_MODULES = (
+    *(camera, embree, layers, raster, sampling, shading, surface, texture),
+    *(transport, vector),
+)
+
+
 @cache
 def _code_hash() -> str:
     """Hashes the sources that decide an image: an old cache is never believed."""
     digest = hashlib.blake2b(digest_size=16)
-    for module in (camera, embree, raster, sampling, shading, surface, texture, vector):
+    for module in _MODULES:
         file = Path(inspect.getfile(module))
         parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
         for part in parts:

@@ -16,6 +16,7 @@ from ataa_jax import (
     embree,
     gltf,
     lighting,
+    mesh_files,
     paths,
     raster,
     types,
@@ -41,7 +42,7 @@ class World:
     """
 
     name: str
-    source: SceneSource
+    source: SceneSource  # without its images: `scene` holds them, filtered
     scene: types.Scene
     tracer: embree.Tracer
     cameras: list[CameraSource]  # at least one
@@ -70,7 +71,10 @@ class World:
             if camera.name == name:
                 return camera
         known = ", ".join(camera.name for camera in self.cameras)
-        raise InputError(f"the scene has no camera '{name}'; it has: {known}")
+        raise InputError(
+            f"the scene has no camera '{name}'; it has: {known}. Camera paths are "
+            f"{', '.join(paths.NAMED_KINDS)}, or a .toml file"
+        )
 
     def focus(self, camera: CameraSource) -> float:
         """Returns the distance to what the middle of a camera's image shows."""
@@ -135,7 +139,7 @@ def shot(
         InputError: no such path or camera.
     """
     if isinstance(path, str):
-        path = paths.load(path, motion)
+        path = paths.load(path, motion, [camera.name for camera in world.cameras])
     return sequence(world, path, size)
 
 
@@ -156,13 +160,18 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
+    return prepare(read(path), camera=camera, backend=backend)
+
+
+def read(path: str | Path) -> SceneSource:
+    """Reads a scene without making it ready to render; see `load`."""
+    if not str(path):
+        raise InputError("the scene's name is empty; give a file, or 'builtin'")
     if str(path) == BUILTIN:
-        source = builtin.garden_house()
-    elif Path(path).suffix.lower() in (".glb", ".gltf"):
-        source = gltf.load(path)
-    else:
-        source = scenes.load_mesh(path)
-    return prepare(source, camera=camera, backend=backend)
+        return builtin.garden_house()
+    if Path(path).suffix.lower() in (".glb", ".gltf"):
+        return gltf.load(path)
+    return mesh_files.load(path)
 
 
 def prepare(
@@ -204,6 +213,7 @@ def prepare(
     packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
     return replace(
         world,
+        source=replace(source, textures=[]),
         scene=_exposed(packed, exposure),
         lights=lights,
         exposure=exposure,

@@ -10,6 +10,7 @@ from ataa_jax import pipeline
 from ataa_jax.capture.findings import WARNING, Finding
 from ataa_jax.capture.record import Capture
 from ataa_jax.raytrace import RaytraceOutput
+from ataa_jax.shading import no_rays
 from ataa_jax.types import METHOD_FXAA
 
 LIMIT = 0.30  # of the pixels, without a camera cut
@@ -23,7 +24,7 @@ def shares(capture: Capture, most: int = 24) -> list[float]:
     nothing = RaytraceOutput(
         color=jnp.zeros((*whole.size, 3), jnp.float32),
         primary_rays=jnp.zeros((), jnp.int32),
-        shadow_rays=jnp.zeros((), jnp.int32),
+        rays=no_rays(None),
     )
     found = []
     for index in range(min(len(whole.frames), most)):

@@ -28,6 +28,7 @@ from ataa_jax.capture.readings import (
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import RaytraceOutput
+from ataa_jax.shading import no_rays
 from ataa_jax.types import Camera, FrameInputs, GBuffer
 
 
@@ -157,7 +158,7 @@ class Capture:
                 material=jnp.asarray(zeros),
             ),
             primary_rays=jnp.asarray(self.size[0] * self.size[1], jnp.int32),
-            shadow_rays=jnp.zeros((), jnp.int32),
+            rays=no_rays(None),
         )
         return drawn, self._inputs(index)
 
@@ -238,7 +239,7 @@ class Capture:
             return RaytraceOutput(
                 color=jnp.where(wanted[..., None], color, 0.0),
                 primary_rays=jnp.sum(wanted, dtype=jnp.int32) * samples,
-                shadow_rays=jnp.zeros((), jnp.int32),
+                rays=no_rays(None),
             )
 
         return traced
