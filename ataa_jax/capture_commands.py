@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def given(scene: str) -> bool:
     """Returns whether the command's argument names a capture: see `capture.load`."""
     place = Path(scene)
-    return place.is_dir() or (place.suffix == ".json" and place.stem.isdecimal())
+    return (bool(scene) and place.is_dir()) or (
+        place.suffix == ".json" and place.stem.isdecimal()
+    )
 
 
 def prepare(

@@ -126,7 +126,7 @@ def test_passes_that_are_missing_are_named(tmp_path):
     held = exr.read(DATA / "0000.exr")
     left = {name: plane for name, plane in held.items() if ".Vector." not in name}
     exr.write(tmp_path / "0000.exr", left)
-    with pytest.raises(ValueError, match="is no capture"):
+    with pytest.raises(ValueError, match="or a capture"):
         capture.load(tmp_path)
     text = '[capture]\nlayout = "blender"\n[[frame]]\nfile = "0000.exr"\n'
     (tmp_path / "capture.toml").write_text(text)

@@ -230,7 +230,7 @@ def test_a_large_metadata_file_is_not_read_to_its_end(tmp_path, monkeypatch):
 def test_a_folder_that_is_no_capture_is_refused(tmp_path, capsys):
     folder = tmp_path / "empty"
     folder.mkdir()
-    assert "is no capture" in refused(folder, capsys)
+    assert "or a capture" in refused(folder, capsys)
 
 
 def test_camera_and_motion_are_refused_for_a_capture(tmp_path, capsys):
