@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 def given(scene: str) -> bool:
     """Returns whether the command's argument names a capture: see `capture.load`."""
     place = Path(scene)
-    return (bool(scene) and place.is_dir()) or (
-        place.suffix == ".json" and place.stem.isdecimal()
-    )
+    sequence = place.suffix == ".json" and place.stem.isdecimal()
+    return sequence or (bool(scene) and place.is_dir())
 
 
 def prepare(

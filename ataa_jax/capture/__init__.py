@@ -50,7 +50,7 @@ def load(path: str | Path) -> Capture:
     if files and blender.channels(files[0]) is not None:
         return blender.load_bare(place, files)
     raise InputError(
-        f"{place} is a folder; give the path of a file of a scene, or a capture: it has "
-        f"neither {plain.NAME}, nor NNNN.json of "
+        f"{place} is a folder; give the path of a file of a scene, or a capture: it "
+        f"has neither {plain.NAME}, nor NNNN.json of "
         "the NSS layout, nor Blender's multilayer EXRs"
     )
