@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import color as colors
 from ataa_jax import (
@@ -34,6 +34,7 @@ from ataa_jax.fxaa import Config as FxaaConfig
 from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import Config as RaytraceConfig
+from ataa_jax.raytrace import RaytraceOutput
 from ataa_jax.segmentation import Config as SegmentationConfig
 from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
@@ -120,7 +121,7 @@ def init(size: tuple[int, int]) -> State:
 
 def preset(
     name: str,
-    scene: Scene,
+    scene: Scene | None,
     size: tuple[int, int],
     *,
     samples: int = 8,
@@ -131,7 +132,7 @@ def preset(
 
     Args:
         name: TAA preset, "tuned" or "ue4".
-        scene: decides the effects that are compiled in.
+        scene: decides the effects that are compiled in; None: nothing will be drawn.
         size: image (height, width).
         samples: rays a traced pixel: 2, 4 or 8.
         budget: sparse primary rays a pixel of the frame, averaged over it; the paper's
@@ -151,16 +152,18 @@ def preset(
     if not budget >= 0.0:
         raise InputError(f"a ray budget must be at least 0 rays a pixel, not {budget}")
     taa_config, taa_params = taa.PRESETS[name]
-    chosen = selection or effects.Selection(effects.required(scene))
+    if selection is None:
+        given = RasterConfig().shading if scene is None else effects.required(scene)
+        selection = effects.Selection(given)
     config = Config(
         raster=raster.Config(
             size=size,
-            shading=chosen.shading,
-            camera_motion=chosen.camera_motion,
-            object_motion=chosen.object_motion,
+            shading=selection.shading,
+            camera_motion=selection.camera_motion,
+            object_motion=selection.object_motion,
         ),
         taa=taa_config,
-        raytrace=raytrace.Config(samples=samples, shading=chosen.shading),
+        raytrace=raytrace.Config(samples=samples, shading=selection.shading),
     )
     params = Params(
         raster=raster.default_params(MIP_BIAS[name]),
@@ -183,6 +186,8 @@ def _pass(name: str, buffer: _Buffer) -> _Buffer:
 
 
 Observe = Callable[[str, Any], Any]
+# Takes the pixels that get rays; what stands in for the raytrace stage.
+Trace = Callable[[Bool[Array, "h w"]], RaytraceOutput]
 
 
 def antialias(
@@ -191,10 +196,11 @@ def antialias(
     inputs: FrameInputs,
     params: Params,
     *,
-    scene: Scene,
-    tracer: embree.Tracer,
+    scene: Scene | None = None,
+    tracer: embree.Tracer | None = None,
     config: Config,
     observe: Observe = _pass,
+    trace: Trace | None = None,
 ) -> tuple[FrameOutput, State]:
     """Everything after raster; not jitted as a whole, each stage is.
 
@@ -208,6 +214,7 @@ def antialias(
         config: choices.
         observe: sees every stage's output under its name (to time it, say) and
             returns it.
+        trace: gives the traced colours in the place of scene and tracer.
 
     Returns:
         All buffers, and the state for the next frame.
@@ -239,15 +246,12 @@ def antialias(
         with jax.named_scope("raytrace"):
             traced = observe(
                 "raytrace",
-                raytrace.raytrace(
-                    scene, inputs, method == METHOD_ATAA,
-                    tracer=tracer, config=config.raytrace,
-                ),
-            )  # fmt: skip
+                _trace(trace, scene, tracer, inputs, config)(method == METHOD_ATAA),
+            )
     else:
         segmented, overflow = segmentation.all_taa(size), jnp.zeros((), jnp.int32)
         method, _ = segmentation.unpack_mask(segmented.mask)
-        traced = raytrace.nothing(size, scene.lights)
+        traced = raytrace.nothing(size, None if scene is None else scene.lights)
     with jax.named_scope("resolve"):
         resolved = observe(
             "resolve",
@@ -284,6 +288,23 @@ def antialias(
     )
     return output, State(
         history=resolved.history, classification=resolved.classification
+    )
+
+
+def _trace(
+    trace: Trace | None,
+    scene: Scene | None,
+    tracer: embree.Tracer | None,
+    inputs: FrameInputs,
+    config: Config,
+) -> Trace:
+    """Returns what gives the traced colours: the raytrace stage, or its stand-in."""
+    if trace is not None:
+        return trace
+    if scene is None or tracer is None:
+        raise InputError("without `trace`, antialias needs a scene and its tracer")
+    return lambda wanted: raytrace.raytrace(
+        scene, inputs, wanted, tracer=tracer, config=config.raytrace
     )
 
 

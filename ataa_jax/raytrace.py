@@ -48,8 +48,8 @@ class RaytraceOutput(eqx.Module):
         return jnp.sum(self.rays.shadow, dtype=jnp.int32)
 
 
-def nothing(size: tuple[int, int], lights: Lights) -> RaytraceOutput:
-    """Returns what the stage gives where no pixel is traced."""
+def nothing(size: tuple[int, int], lights: Lights | None) -> RaytraceOutput:
+    """Returns what the stage gives where no pixel is traced; None: no lights."""
     return RaytraceOutput(
         color=jnp.zeros((*size, 3), jnp.float32),
         primary_rays=jnp.zeros((), jnp.int32),

@@ -416,12 +416,11 @@ def _direct(
     return carry[0], Rays(shadow=shadow_rays, reflection=zero, layer=carry[1])
 
 
-def no_rays(lights: Lights) -> Rays:
-    """Returns a count of no rays at all."""
+def no_rays(lights: Lights | None) -> Rays:
+    """Returns a count of no rays at all; None: of no lights either."""
     zero = jnp.zeros((), jnp.int32)
-    return Rays(
-        shadow=jnp.zeros(lights.kind.shape, jnp.int32), reflection=zero, layer=zero
-    )
+    shape = (0,) if lights is None else lights.kind.shape
+    return Rays(shadow=jnp.zeros(shape, jnp.int32), reflection=zero, layer=zero)
 
 
 def _through_layers(

@@ -18,6 +18,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
+from ataa_jax import capture_commands
 from ataa_jax.cli import given, terminal
 from ataa_jax.errors import InputError
 
@@ -143,15 +144,20 @@ def run(
             "effects": effects,
         }
         with terminal.progress() as report:
-            shot, chosen = _prepare(
-                scene, extent, camera, motion, params, report, options
-            )
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, (name,), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, report, options
+                )
             rows = film.shoot(shot, name, chosen, folder, exr=exr, progress=report)
     console = Console(soft_wrap=True, highlight=False)
     heads = ("frame", "FXAA", "TAA", "ATAA", "rays/px", "over budget", "shadow rays")
     if any(row[1] for row in rows):
         console.print(terminal.table(heads, rows[:_SHOWN_ROWS]))
-    terminal.notes(console, shot.world.notes)
+    terminal.notes(console, compare.notes(shot))
     terminal.wrote(
         console,
         final,
@@ -192,6 +198,17 @@ def compare_command(
             "effects": effects,
         },
     )
+
+
+@app.command()
+def check(
+    capture: Annotated[
+        Path, typer.Argument(metavar="CAPTURE", help="The folder of a capture.")
+    ],
+    traceback: given.Traceback = False,
+) -> None:
+    """Tells whether a capture's images agree with its metadata, and what to mend."""
+    raise typer.Exit(capture_commands.check_folder(str(capture)))
 
 
 @app.command()
@@ -248,9 +265,14 @@ def _compare(
             split = [part.strip() for name in names for part in name.split(",")]
             options["methods"] = compare.check_methods(dict.fromkeys(split))
         with terminal.progress() as tell:
-            shot, chosen = _prepare(
-                scene, extent, camera, motion, params, tell, options
-            )
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, options.pop("methods", ()), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, tell, options
+                )
             result = compare.compare(shot, chosen, tell)
             report.write(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)
