@@ -271,11 +271,11 @@ def prepare(
             *effects.look_at_motion(source.duration > 0.0),
         ],
     )
-    return world if wish is None else _wished(world, wish, backend)
+    return world if wish is None else wished(world, wish, backend=backend)
 
 
-def _wished(world: World, wish: effects.Wish, backend: str) -> World:
-    """Leaves out the effects that are not wished for."""
+def wished(world: World, wish: effects.Wish, *, backend: str = "auto") -> World:
+    """Returns the world with other effects than those that it calls for."""
     refused = effects.refusals(wish, world.looked)
     scene, tracer = effects.without(world.scene, wish), world.tracer
     source = world.source
