@@ -13,7 +13,7 @@ from pathlib import Path
 
 import scenes
 
-from ataa_jax import compare, report
+from ataa_jax import compare, methods, report
 
 COLUMNS = (
     *("ssim", "psnr", "flip", "flicker", "border_mse", "thin_mse"),
@@ -45,9 +45,9 @@ def main() -> None:
         "--methods", help="only these, with commas; other rows stay as they are"
     )
     options = parser.parse_args()
-    methods = tuple(compare.METHODS)
+    chosen = tuple(methods.METHODS)
     if options.methods:
-        methods = compare.check_methods(options.methods.split(","))
+        chosen = methods.check_methods(options.methods.split(","))
     results = Path(__file__).parent / "results"
     results.mkdir(exist_ok=True)
     file = results / "quality.csv"
@@ -59,10 +59,10 @@ def main() -> None:
         shot = scenes.shot(scenes.load(name))
         result = compare.compare(
             shot,
-            compare.Options(
+            methods.Options(
                 frames=options.frames,
                 reference_samples=options.reference_samples,
-                methods=methods,
+                methods=chosen,
             ),
         )
         if not options.methods:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from ataa_jax import cli, paths, world
-from ataa_jax.compare import METHODS
+from ataa_jax.methods import METHODS
 from tests.gltf_writer import triangle_scene
 
 DATA = Path(__file__).parents[1] / "data"
