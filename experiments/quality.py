@@ -44,6 +44,7 @@ def main() -> None:
     parser.add_argument(
         "--methods", help="only these, with commas; other rows stay as they are"
     )
+    parser.add_argument("--scenes", help="only these, with commas")
     options = parser.parse_args()
     chosen = tuple(methods.METHODS)
     if options.methods:
@@ -52,10 +53,11 @@ def main() -> None:
     results.mkdir(exist_ok=True)
     file = results / "quality.csv"
     table: dict[tuple[str, str], list[str]] = {}
-    if options.methods and file.is_file():
+    if (options.methods or options.scenes) and file.is_file():
         with file.open(newline="") as stream:
             table = {(row[0], row[1]): row for row in list(csv.reader(stream))[1:]}
-    for name in scenes.available():
+    named = options.scenes.split(",") if options.scenes else scenes.available()
+    for name in named:
         shot = scenes.shot(scenes.load(name))
         result = compare.compare(
             shot,
