@@ -27,7 +27,8 @@ from ataa_jax.types import (
 class Params(eqx.Module):
     """Numbers one may sweep or fit."""
 
-    traced_count: Float[Array, ""]  # frames that a traced colour counts as
+    # Frames that a traced colour counts as; an array: pixel by pixel.
+    traced_count: Float[Array, ""] | Float[Array, "h w"]
 
 
 def default_params(
