@@ -27,8 +27,7 @@ from ataa_jax.types import (
 class Params(eqx.Module):
     """Numbers one may sweep or fit."""
 
-    # Frames that a traced colour counts as; an array: pixel by pixel.
-    traced_count: Float[Array, ""] | Float[Array, "h w"]
+    traced_count: Float[Array, ""]  # frames that a traced colour counts as
 
 
 def default_params(

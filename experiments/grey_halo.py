@@ -12,7 +12,7 @@ A *seam pixel* is traced, with a pixel of TAA's within 2 px of it (5×5); its *s
 the mean luma of the traced pixels in its 5×5 less that of TAA's there, in sRGB.
 ``seam`` is the mean |step| less the reference's mean |step| at the same pixels (the
 scene's own edges), ``step_error`` the mean |step − reference's step|, ``halo`` the mean
-of step − reference's step with its sign: below 0 the traced side is too dark. All three,
+of step − reference's step signed: below 0 the traced side is too dark. All three,
 and ``traced_mse``, are of the pixels that every footprint's run gave the same method.
 
     python experiments/grey_halo.py           # writes results/grey_halo.csv, .png

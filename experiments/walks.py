@@ -59,7 +59,10 @@ def draw(shot: worlds.Sequence, preset: str = "tuned") -> Walk:
 
 
 def antialias(
-    walk: Walk, config: pipeline.Config, params: pipeline.Params
+    walk: Walk,
+    config: pipeline.Config,
+    params: pipeline.Params,
+    observe: pipeline.Observe = lambda _, buffer: buffer,
 ) -> Iterator[pipeline.FrameOutput]:
     """Yields the scored frames of the pipeline."""
 
@@ -69,6 +72,7 @@ def antialias(
         return pipeline.antialias(
             state, drawn, inputs, params,
             scene=walk.shot.world.scene, tracer=walk.shot.world.tracer, config=config,
+            observe=observe,
         )  # fmt: skip
 
     return fold(walk, step)

@@ -53,21 +53,6 @@ def test_every_pixel_comes_from_its_methods_source(size):
     np.testing.assert_array_equal(out.history.count, count.astype(np.float32))
 
 
-def test_a_traced_pixel_counts_as_what_it_is_told_to():
-    method, segmented, raw, gbuffer, blended, traced = frame((6, 5))
-    own = np.arange(30, dtype=np.float32).reshape(6, 5)
-    params = resolve.Params(traced_count=jnp.asarray(own))
-    out = resolve.resolve(segmented, raw, gbuffer, blended, traced, params)
-    traced_here = method == types.METHOD_ATAA
-    np.testing.assert_array_equal(out.history.count[traced_here], own[traced_here])
-    uniform = resolve.resolve(
-        segmented, raw, gbuffer, blended, traced, resolve.default_params()
-    )
-    np.testing.assert_array_equal(
-        out.history.count[~traced_here], uniform.history.count[~traced_here]
-    )
-
-
 def test_the_history_stores_the_composite_and_the_gbuffer_beside_it():
     _, segmented, raw, gbuffer, blended, traced = frame((6, 5))
     out = resolve.resolve(
