@@ -35,6 +35,7 @@ from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 BUDGETS = (0.25, 0.5, 1.0)
+TOLD_AT = 0.5  # the budget at which every `traced_count` is tried
 COUNTS = (2, 4, 8)
 COLUMNS = ("ssim", "mse", "flicker", "rays", "traced_share")
 OWN = "own"
@@ -161,7 +162,7 @@ def plot(table: list[tuple], file: Path) -> None:
             own = [row for row in rows if row[2] == plan and row[3] == 4]
             x, y = [row[1] for row in own], [row[4]["ssim"] for row in own]
             above.plot(x, y, "o-" if plan.isdigit() else "s--", label=plan)
-            told = [row for row in rows if row[1:3] == (0.5, plan)]
+            told = [row for row in rows if row[1:3] == (TOLD_AT, plan)]
             order = sorted(told, key=lambda row: str(row[3]))
             x, y = [str(row[3]) for row in order], [row[4]["ssim"] for row in order]
             below.plot(x, y, "o-" if plan.isdigit() else "s--", label=plan)
@@ -175,26 +176,38 @@ def plot(table: list[tuple], file: Path) -> None:
     plt.close(figure)
 
 
+def settings() -> list[tuple[float, str, int | str]]:
+    """Returns budgets, plans and what traced pixels count as.
+
+    Of a uniform plan "own" is its number, and not measured twice.
+    """
+    found: list[tuple[float, str, int | str]] = []
+    for budget in BUDGETS:
+        for label in PLANS:
+            own = () if label.isdigit() else (OWN,)
+            told = (*COUNTS, *own) if budget == TOLD_AT else (4,)
+            found += [(budget, label, traced_count) for traced_count in told]
+    return found
+
+
 def main() -> None:
     """Measures and writes table and plot."""
     table = []
+    results = Path(__file__).parent / "results"
     for name in scenes.available(SCENES):
         walk = walks.draw(scenes.shot(scenes.load(name), size=walks.SIZE))
-        for budget in BUDGETS:
-            told = (2, 4, 8, OWN) if budget == 0.5 else (4, OWN)
-            for label, plan in PLANS.items():
-                for traced_count in told:
-                    values = measure(walk, plan, budget, traced_count)
-                    table.append((name, budget, label, traced_count, values))
-                    shown = (f"{values[column]:.5g}" for column in COLUMNS)
-                    print(*table[-1][:4], *shown, flush=True)
-    results = Path(__file__).parent / "results"
-    with (results / "adaptive_samples.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["scene", "budget", "rays_each", "counts_as", *COLUMNS])
-        for *row, values in table:
-            writer.writerow([*row, *(f"{values[column]:.5g}" for column in COLUMNS)])
-    plot(table, results / "adaptive_samples.png")
+        for budget, label, traced_count in settings():
+            values = measure(walk, PLANS[label], budget, traced_count)
+            table.append((name, budget, label, traced_count, values))
+            shown = (f"{values[column]:.5g}" for column in COLUMNS)
+            print(*table[-1][:4], *shown, flush=True)
+        with (results / "adaptive_samples.csv").open("w", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(["scene", "budget", "rays_each", "counts_as", *COLUMNS])
+            for *row, values in table:
+                numbers = (f"{values[column]:.5g}" for column in COLUMNS)
+                writer.writerow([*row, *numbers])
+        plot(table, results / "adaptive_samples.png")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 TODO.
 
 The n-rooks pattern of the traced pixels stands still (the paper), or moves with the
-frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2, 4 and 8
+frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2 and 8
 rays a traced pixel at 0.5 rays a pixel, a typical walk and a still camera at 320×180,
 against 64 samples a pixel. A traced colour replaces the history (the paper's resolve),
 or ("kept") joins it by weight as TAA's samples do, so that jittered rays add up:
@@ -30,7 +30,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
-COUNTS = (2, 4, 8)
+COUNTS = (2, 8)
 COLUMNS = ("ssim", "mse", "flicker", "rays")
 VARIANTS = {  # name: (jitter, kept)
     "fixed": (False, False),
@@ -116,19 +116,20 @@ def plot(table: list[tuple], file: Path) -> None:
 def main() -> None:
     """Measures and writes table and plot."""
     table = []
+    results = Path(__file__).parent / "results"
     for name in scenes.available(SCENES):
         for path, shot in shots(name).items():
             for (samples, label), values in measure(walks.draw(shot)).items():
                 table.append((name, path, samples, label, values))
                 shown = (f"{values[column]:.5g}" for column in COLUMNS)
                 print(*table[-1][:4], *shown, flush=True)
-    results = Path(__file__).parent / "results"
-    with (results / "sparse_jitter.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["scene", "path", "samples", "variant", *COLUMNS])
-        for *row, values in table:
-            writer.writerow([*row, *(f"{values[column]:.5g}" for column in COLUMNS)])
-    plot(table, results / "sparse_jitter.png")
+        with (results / "sparse_jitter.csv").open("w", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(["scene", "path", "samples", "variant", *COLUMNS])
+            for *row, values in table:
+                numbers = (f"{values[column]:.5g}" for column in COLUMNS)
+                writer.writerow([*row, *numbers])
+        plot(table, results / "sparse_jitter.png")
 
 
 if __name__ == "__main__":
