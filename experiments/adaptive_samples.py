@@ -13,7 +13,7 @@ The history holds a traced pixel as 2, 4 (`resolve`'s default) or 8 frames, or a
     python experiments/adaptive_samples.py    # writes results/adaptive_samples.*
 """
 
-import csv
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -159,10 +159,10 @@ def plot(table: list[tuple], file: Path) -> None:
     for (above, below), name in zip(axes.T, names, strict=True):
         rows = [row for row in table if row[0] == name]
         for plan in PLANS:
-            own = [row for row in rows if row[2] == plan and row[3] == 4]
+            own = [row for row in rows if (str(row[2]), row[3]) == (plan, 4)]
             x, y = [row[1] for row in own], [row[4]["ssim"] for row in own]
             above.plot(x, y, "o-" if plan.isdigit() else "s--", label=plan)
-            told = [row for row in rows if row[1:3] == (TOLD_AT, plan)]
+            told = [row for row in rows if (row[1], str(row[2])) == (TOLD_AT, plan)]
             order = sorted(told, key=lambda row: str(row[3]))
             x, y = [str(row[3]) for row in order], [row[4]["ssim"] for row in order]
             below.plot(x, y, "o-" if plan.isdigit() else "s--", label=plan)
@@ -192,21 +192,19 @@ def settings() -> list[tuple[float, str, int | str]]:
 
 def main() -> None:
     """Measures and writes table and plot."""
-    table = []
+    names = sys.argv[1:] or scenes.available(SCENES)
     results = Path(__file__).parent / "results"
-    for name in scenes.available(SCENES):
+    file = results / "adaptive_samples.csv"
+    for name in names:
         walk = walks.draw(scenes.shot(scenes.load(name), size=walks.SIZE))
-        for budget, label, traced_count in settings():
-            values = measure(walk, PLANS[label], budget, traced_count)
-            table.append((name, budget, label, traced_count, values))
+        found = []
+        for budget, label, told in settings():
+            values = measure(walk, PLANS[label], budget, told)
+            found.append((name, budget, label, told, values))
             shown = (f"{values[column]:.5g}" for column in COLUMNS)
-            print(*table[-1][:4], *shown, flush=True)
-        with (results / "adaptive_samples.csv").open("w", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(["scene", "budget", "rays_each", "counts_as", *COLUMNS])
-            for *row, values in table:
-                numbers = (f"{values[column]:.5g}" for column in COLUMNS)
-                writer.writerow([*row, *numbers])
+            print(*found[-1][:4], *shown, flush=True)
+        table = [*walks.stored(file, 4, [name]), *found]
+        walks.write(file, ["scene", "budget", "rays_each", "counts_as"], table)
         plot(table, results / "adaptive_samples.png")
 
 

@@ -16,9 +16,10 @@ of step − reference's step signed: below 0 the traced side is too dark. All th
 and ``traced_mse``, are of the pixels that every footprint's run gave the same method.
 
     python experiments/grey_halo.py           # writes results/grey_halo.csv, .png
+    python experiments/grey_halo.py sponza    # measures this scene's rows anew
 """
 
-import csv
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,23 +133,22 @@ def plot(table: list[tuple], file: Path) -> None:
 
 def main() -> None:
     """Measures and writes table and plot."""
-    table = []
-    for name in scenes.available(SCENES):
+    names = sys.argv[1:] or scenes.available(SCENES)
+    results = Path(__file__).parent / "results"
+    file = results / "grey_halo.csv"
+    for name in names:
         shot = scenes.shot(scenes.load(name), size=walks.SIZE)
+        found = []
         for preset in ("tuned", "ue4"):
             walk = walks.draw(shot, preset)
             for budget in BUDGETS:
                 for footprint, values in measure(walk, budget).items():
-                    table.append((name, preset, budget, footprint, values))
-                    shown = (f"{values[column]:.4g}" for column in COLUMNS)
-                    print(*table[-1][:4], *shown, flush=True)
-    results = Path(__file__).parent / "results"
-    with (results / "grey_halo.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["scene", "taa", "budget", "footprint", *COLUMNS])
-        for *row, values in table:
-            writer.writerow([*row, *(f"{values[column]:.4g}" for column in COLUMNS)])
-    plot(table, results / "grey_halo.png")
+                    found.append((name, preset, budget, footprint, values))
+                    shown = (f"{values[column]:.5g}" for column in COLUMNS)
+                    print(*found[-1][:4], *shown, flush=True)
+        table = [*walks.stored(file, 4, [name]), *found]
+        walks.write(file, ["scene", "taa", "budget", "footprint"], table)
+        plot(table, results / "grey_halo.png")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ h + (c − h) n / (n + m) for a colour c of n rays and a rectified history of m 
     python experiments/sparse_jitter.py       # writes results/sparse_jitter.csv, .png
 """
 
-import csv
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -83,10 +83,11 @@ def measure(walk: walks.Walk) -> dict[tuple[int, str], dict[str, float]]:
             observer = (keeping(samples),) if kept else ()
             outputs = [*walks.antialias(walk, config, walk.params, *observer)]
             found[samples, label] = walks.scores(walk, outputs)
-    nothing = {"ssim": 1.0, "mse": 0.0, "rays": float("nan")}
     found[walks.SAMPLES, "reference"] = {
-        **nothing,
+        "ssim": 1.0,
+        "mse": 0.0,
         "flicker": walks.flicker(walk, walk.truth),
+        "rays": float(walks.SAMPLES),
     }
     return found
 
@@ -115,20 +116,18 @@ def plot(table: list[tuple], file: Path) -> None:
 
 def main() -> None:
     """Measures and writes table and plot."""
-    table = []
+    names = sys.argv[1:] or scenes.available(SCENES)
     results = Path(__file__).parent / "results"
-    for name in scenes.available(SCENES):
+    file = results / "sparse_jitter.csv"
+    for name in names:
+        found = []
         for path, shot in shots(name).items():
             for (samples, label), values in measure(walks.draw(shot)).items():
-                table.append((name, path, samples, label, values))
+                found.append((name, path, samples, label, values))
                 shown = (f"{values[column]:.5g}" for column in COLUMNS)
-                print(*table[-1][:4], *shown, flush=True)
-        with (results / "sparse_jitter.csv").open("w", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(["scene", "path", "samples", "variant", *COLUMNS])
-            for *row, values in table:
-                numbers = (f"{values[column]:.5g}" for column in COLUMNS)
-                writer.writerow([*row, *numbers])
+                print(*found[-1][:4], *shown, flush=True)
+        table = [*walks.stored(file, 4, [name]), *found]
+        walks.write(file, ["scene", "path", "samples", "variant"], table)
         plot(table, results / "sparse_jitter.png")
 
 

@@ -4,8 +4,11 @@ The raster stage does not depend on what follows it. A `Walk` holds its frames a
 references, so that a variant costs only the stages after raster.
 """
 
+import csv
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -100,6 +103,41 @@ def scores(walk: Walk, outputs: list[pipeline.FrameOutput]) -> dict[str, float]:
             np.mean([int(o.statistics.primary_rays) / pixels for o in outputs])
         ),
     }
+
+
+def stored(file: Path, keys: int, scenes: list[str]) -> list[tuple]:
+    """Returns the rows of a table written before, but for some scenes', which are new.
+
+    A row is its first columns, numbers as such, and a dictionary of the others.
+    """
+    if not file.is_file():
+        return []
+    with file.open(newline="") as stream:
+        head, *lines = list(csv.reader(stream))
+    return [
+        (
+            *(_number(cell) for cell in line[:keys]),
+            dict(zip(head[keys:], map(float, line[keys:]), strict=True)),
+        )
+        for line in lines
+        if line[0] not in scenes
+    ]
+
+
+def write(file: Path, keys: list[str], table: list[tuple]) -> None:
+    """Writes such rows."""
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([*keys, *table[0][-1]])
+        for *row, values in table:
+            writer.writerow([*row, *(f"{value:.5g}" for value in values.values())])
+
+
+def _number(cell: str) -> str | int | float:
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(cell)
+    return cell
 
 
 def flicker(walk: Walk, images: list[np.ndarray] | np.ndarray) -> float:
