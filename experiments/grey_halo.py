@@ -1,6 +1,11 @@
 """The paper's grey halo: what should a sparse ray read of a texture?
 
-TODO.
+Found, on the built-in scene: traced pixels beside TAA's are too dark by 0.0022 of luma
+at level 0, which "sample" halves and "pixel" cuts to a fifth; "sample" also has the best
+SSIM and the lowest error of traced pixels in all four settings (0.9455 against 0.9412
+without a budget), where "pixel" blurs (0.9385). It does not help with UE4's TAA at 0.5
+rays a pixel: the halo there is 0.013 at level 0, and over nine tenths of it stay, for it
+is the blur of TAA's own pixels.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
 ("pixel"), or their share of it ("sample"); see `raytrace.Config.footprint`. A typical
