@@ -2,10 +2,10 @@
 
 Found, on the built-in scene: it does not help; 8 rays for all is the best use of every
 budget (SSIM 0.904 at 0.5 rays a pixel, against 0.900 with 4, 0.883 with thirds, 0.860
-with 2 and with cover), and with 2 rays a larger budget makes the image worse, since two
+with 2 and with cover), and with 2 rays a larger budget makes the image worse, for two
 rays are worse than the history that they replace. A pixel's own count is worth nothing
-in a mixture (0.8827 against 0.8831), but 8 rays that count as 8 and not as 4 gain 0.0014
-of SSIM and flicker 6 % less.
+in a mixture (0.8827 against 0.8831), but 8 rays that count as 8 in place of 4 gain
+0.0014 of SSIM and flicker 6 % less.
 
 One ray budget (0.25, 0.5, 1 rays a pixel) is spent on 2, 4 or 8 rays at each of the
 highest scores (the paper's pipeline: 8x, 4x, 2x), or on a mixture of the three.
