@@ -1,12 +1,12 @@
 """The paper's grey halo: what should a sparse ray read of a texture?
 
-Found: traced pixels beside TAA's are too dark at level 0 (by 0.002 to 0.004 of luma with
-the tuned TAA), and "sample" has the better SSIM, lower flicker, less error in traced
-pixels and a weaker halo than level 0 on all three scenes, both budgets and both TAAs,
-though the gain in SSIM is small (0.0002 to 0.0043) and the whole image's squared error
-rises in five of twelve settings. "pixel" does not help on Sponza (SSIM −0.004 to −0.017)
-nor on the built-in scene without a budget, and no footprint helps much with UE4's TAA at
-0.5 rays a pixel, where 77 to 93 % of a halo of 0.012 to 0.018 stay under "sample".
+Found: traced pixels beside TAA's are too dark at level 0 (by 0.002 to 0.004 of luma
+with the tuned TAA), and "sample" has the better SSIM, lower flicker, less error in
+traced pixels and a weaker halo than level 0 on all three scenes, both budgets and both
+TAAs, though the gain in SSIM is small (0.0002 to 0.0043) and the whole image's squared
+error rises in five of twelve settings. "pixel" does not help on Sponza (SSIM −0.004 to
+−0.017) nor on the built-in scene without a budget, and "sample" helps little with UE4's
+TAA at 0.5 rays a pixel, where 77 to 93 % of a halo of 0.012 to 0.018 stay.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
 ("pixel"), or their share of it ("sample"); see `raytrace.Config.footprint`. A typical

@@ -4,8 +4,8 @@ Found, on the built-in scene: by itself it does not help; a traced colour that r
 the history only flickers more when jittered (8 rays: SSIM 0.9038 against 0.9041 moving,
 0.9265 against 0.9269 still; 2 rays lose 0.010 and 0.012). Where the traced colour joins
 the history in place of replacing it, 2 rays a pixel rise from 0.860 to 0.910 in motion,
-above the 0.904 of 8 rays that replace, and there jitter adds 0.017 to a still image of 2
-rays, 0.0007 to one of 8, and next to nothing in motion.
+above the 0.904 of 8 rays that replace, and there jitter adds 0.017 to a still image of
+2 rays, 0.0007 to one of 8, and next to nothing in motion.
 
 The n-rooks pattern of the traced pixels stands still (the paper), or moves with the
 frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2 and 8
