@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -217,7 +218,7 @@ def _file(
 
 def _read(file: Path, size: tuple[int, int]) -> Recorded | None:
     """Returns a cached record, or None where there is none or it is damaged."""
-    like = _like(size)
+    like = jax.eval_shape(partial(_like, size))
     try:
         # Opened here: numpy leaves a damaged file open.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
@@ -234,24 +235,24 @@ def _read(file: Path, size: tuple[int, int]) -> Recorded | None:
 def _like(size: tuple[int, int]) -> Recorded:
     """Returns a record of zeros: its tree, shapes and types."""
 
-    def zeros(*shape: int, dtype: type = np.float32) -> np.ndarray:
-        return np.zeros((*shape,), dtype)
+    def zeros(*shape: int, dtype: Any = jnp.float32) -> Array:
+        return jnp.zeros(shape, dtype)
 
     image = partial(zeros, *size)
     return Recorded(
-        color=image(3),  # pyright: ignore[reportArgumentType]
+        color=image(3),
         gbuffer=GBuffer(
-            depth=image(),  # pyright: ignore[reportArgumentType]
-            motion=image(2),  # pyright: ignore[reportArgumentType]
-            motion_valid=image(dtype=bool),  # pyright: ignore[reportArgumentType]
-            normal=image(3),  # pyright: ignore[reportArgumentType]
-            object=image(dtype=np.int32),  # pyright: ignore[reportArgumentType]
-            material=image(dtype=np.int32),  # pyright: ignore[reportArgumentType]
+            depth=image(),
+            motion=image(2),
+            motion_valid=image(dtype=bool),
+            normal=image(3),
+            object=image(dtype=jnp.int32),
+            material=image(dtype=jnp.int32),
         ),
-        traced=image(3),  # pyright: ignore[reportArgumentType]
-        truth=image(3),  # pyright: ignore[reportArgumentType]
-        jitter=zeros(2),  # pyright: ignore[reportArgumentType]
-        cut=zeros(dtype=bool),  # pyright: ignore[reportArgumentType]
+        traced=image(3),
+        truth=image(3),
+        jitter=zeros(2),
+        cut=zeros(dtype=bool),
     )
 
 
