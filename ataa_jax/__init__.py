@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ataa_jax import (
+        capture,
         color,
         embree,
         fxaa,
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from ataa_jax.world import load, shot
 
 _MODULES = (
-    *("color", "embree", "fxaa", "metrics", "paths", "pipeline", "raster"),
+    *("capture", "color", "embree", "fxaa", "metrics", "paths", "pipeline", "raster"),
     *("raytrace", "reference", "resolve", "segmentation", "taa", "types", "world"),
 )
 _HOMES = {
@@ -62,6 +63,7 @@ __all__ = [
     "METHOD_TAA",
     "InputError",
     "antialias",
+    "capture",
     "color",
     "embree",
     "frame",

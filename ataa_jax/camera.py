@@ -53,7 +53,7 @@ def pixel_size(camera: Camera, height: int) -> Float[Array, ""]:
 def pixel_centres(
     size: tuple[int, int],
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Returns x_px and y_px of every pixel's centre, row-major."""
+    """Returns x_px and y_px of every pixel's centre, row-major; (height, width)."""
     height, width = size
     x = jnp.broadcast_to(jnp.arange(width, dtype=jnp.float32)[None, :] + 0.5, size)
     y = jnp.broadcast_to(jnp.arange(height, dtype=jnp.float32)[:, None] + 0.5, size)

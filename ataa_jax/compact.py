@@ -3,28 +3,69 @@
 Sparse stages (ray tracing, FXAA) work on fixed-shape chunks of this list.
 """
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 _BITS = 32
 
+T = TypeVar("T")
+
+
+def for_each_chunk(
+    needed: Bool[Array, "..."],
+    chunk: int,
+    work: Callable[[Int[Array, " c"], Bool[Array, " c"], T], T],
+    carry: T,
+) -> T:
+    """Works on the elements asked for, so many at a time, in a `while_loop`.
+
+    Compiled once whatever their number; the cost follows it.
+
+    Args:
+        needed: the elements asked for, n of any shape.
+        chunk: elements at a time.
+        work: takes flat indices (entries that are only fill hold n, which a scatter
+            drops), which of them are used, and the carry; returns the carry.
+        carry: any pytree.
+
+    Returns:
+        The carry after the last chunk.
+    """
+    n = needed.size
+    chunk = min(chunk, n)
+    indices, count = compact(needed)
+    # Padding to a whole number of chunks.
+    indices = jnp.concatenate([indices, jnp.full((-n % chunk,), n, jnp.int32)])
+
+    def body(state: tuple[Int[Array, ""], T]) -> tuple[Int[Array, ""], T]:
+        done, carry = state
+        index = jax.lax.dynamic_slice(indices, (done,), (chunk,))
+        used = done + jnp.arange(chunk, dtype=jnp.int32) < count
+        return done + chunk, work(index, used, carry)
+
+    start = (jnp.zeros((), jnp.int32), carry)
+    return jax.lax.while_loop(lambda state: state[0] < count, body, start)[1]
+
 
 def compact(
-    mask: Bool[Array, "h w"],
-) -> tuple[Int[Array, "h*w"], Int[Array, ""]]:
+    mask: Bool[Array, "..."],
+) -> tuple[Int[Array, " n"], Int[Array, ""]]:
     """Lists the pixels where the mask is True.
 
     Args:
-        mask: the pixels asked for.
+        mask: the pixels asked for, n of any shape.
 
     Returns:
         (indices, count): flat row-major indices, int32, ascending; entries from
-        `count` on hold h·w, one past the last pixel.
+        `count` on hold n, one past the last pixel.
     """
-    pixels = mask.shape[0] * mask.shape[1]
+    pixels = mask.size
     rank, count = _ranks(mask.reshape(-1))
-    slot = jnp.where(mask.reshape(-1), rank, pixels)  # h·w: dropped by the scatter
+    slot = jnp.where(mask.reshape(-1), rank, pixels)  # n: dropped by the scatter
     indices = jnp.full((pixels,), pixels, jnp.int32)
     indices = indices.at[slot].set(jnp.arange(pixels, dtype=jnp.int32), mode="drop")
     return indices, count

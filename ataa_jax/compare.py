@@ -12,15 +12,29 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import psutil
 
 from ataa_jax import color as colors
-from ataa_jax import fxaa, metrics, pipeline, raster, reference, sampling, segmentation
+from ataa_jax import (
+    effects,
+    fxaa,
+    metrics,
+    pipeline,
+    raster,
+    reference,
+    sampling,
+    segmentation,
+)
+from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
-from ataa_jax.types import FrameInputs, State
+from ataa_jax.types import FrameInputs, Scene, State
 from ataa_jax.world import Sequence
+
+# What a method runs over: a world along a path, or frames that an engine rendered.
+Source = Sequence | Capture
 
 # Method name → label of its row, in the order of the table.
 METHODS: dict[str, str] = {
@@ -121,15 +135,41 @@ def check_methods(names: Iterable[str]) -> tuple[str, ...]:
     return chosen
 
 
+def captured_methods(shot: Capture) -> tuple[str, ...]:
+    """Returns the methods that a capture's images allow.
+
+    ATAA only at the counts of samples that it has images of: the reference standing in
+    beside them would make fewer rays look better than more. Where it has none, the
+    reference stands in for all.
+    """
+    counts = shot.sample_counts
+    if not counts and shot.reference_samples is not None:
+        counts = (2, 4, 8)
+
+    def allowed(name: str) -> bool:
+        if name.startswith("ataa"):
+            return int(name.removeprefix("ataa").partition("_")[0]) in counts
+        if name.startswith("ssaa"):
+            return int(name.removeprefix("ssaa")) in shot.sample_counts
+        return True
+
+    return tuple(name for name in METHODS if allowed(name))
+
+
+def notes(shot: Source) -> list[str]:
+    """Returns what was supplied or found, in sentences."""
+    return list(shot.notes if isinstance(shot, Capture) else shot.world.notes)
+
+
 def compare(
-    shot: Sequence,
+    shot: Source,
     options: Options,
     progress: Callable[[str, int, int], None] = lambda text, done, total: None,
 ) -> Comparison:
     """Runs the methods over the sequence and scores them against the reference.
 
     Args:
-        shot: the world along a path.
+        shot: the world along a path, or a capture.
         options: methods, frames, reference, budget.
         progress: told what is done, and how many of how many steps.
 
@@ -140,12 +180,13 @@ def compare(
         InputError: an unknown method.
     """
     check_methods(options.methods)
+    captured = isinstance(shot, Capture)
     result = Comparison(
-        scene=shot.world.name,
-        path=shot.path.name,
+        scene=shot.name if captured else shot.world.name,
+        path="captured" if captured else shot.path.name,
         size=shot.size,
         options=options,
-        notes=list(shot.world.notes),
+        notes=notes(shot),
     )
     runners = [runner(name, shot, options) for name in options.methods]
     total = options.frames * options.reference_samples + options.lead_in
@@ -168,15 +209,10 @@ def compare(
             step(f"lead-in frame {index}")
             previous = images
             continue
-        truth = reference.reference(
-            shot,
-            index,
-            options.reference_samples,
-            average=options.average,
-            progress=partial(step, f"frame {index + 1} of {options.frames}"),
-        )
-        images[REFERENCE] = np.asarray(colors.display(truth.color))
-        _score(result, runners, images, previous, index, np.asarray(truth.thin), drawer)
+        told = partial(step, f"frame {index + 1} of {options.frames}")
+        seen = truth(shot, index, options, told)
+        images[REFERENCE] = np.asarray(colors.display(seen.color))
+        _score(result, runners, images, previous, index, np.asarray(seen.thin), drawer)
         previous = images
     for each in runners:
         result.stage_ms[each.name] = each.steady()
@@ -184,10 +220,48 @@ def compare(
     return result
 
 
+def truth(
+    shot: Source,
+    frame: int,
+    options: Options,
+    progress: Callable[[], None] = lambda: None,
+) -> reference.Supersampled:
+    """Renders or reads the reference of a frame; a capture knows no thin features."""
+    if not isinstance(shot, Capture):
+        return reference.reference(
+            shot,
+            frame,
+            options.reference_samples,
+            average=options.average,
+            progress=progress,
+        )
+    color = shot.reference(frame)
+    if color is None:
+        raise InputError(
+            f"capture {shot.folder} has no reference to score against; capture one, or "
+            "use 'ataa run'"
+        )
+    for _ in range(options.reference_samples):
+        progress()
+    return reference.Supersampled(
+        color=jnp.asarray(color), thin=jnp.zeros(shot.size, jnp.float32)
+    )
+
+
+def _scene(shot: Source) -> Scene | None:
+    """Returns what decides the compiled effects; a capture has none."""
+    return None if isinstance(shot, Capture) else shot.world.scene
+
+
+def _effects(shot: Source) -> effects.Selection | None:
+    """Returns the effects to compile for; a capture is drawn already."""
+    return None if isinstance(shot, Capture) else shot.effects
+
+
 class Drawer:
     """Draws each raster variant of a frame once, for all methods that read it."""
 
-    def __init__(self, shot: Sequence) -> None:
+    def __init__(self, shot: Source) -> None:
         self.shot = shot
         self.frame = 0
         self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, float]] = {}
@@ -204,6 +278,8 @@ class Drawer:
         jitter: np.ndarray | None,
     ) -> tuple[RasterOutput, FrameInputs, float]:
         """Returns the raster output, its inputs and its time in ms."""
+        if isinstance(self.shot, Capture):
+            return self._captured(self.shot, centred=jitter is None)
         offset = (0.0, 0.0) if jitter is None else tuple(float(x) for x in jitter)
         key = (config, float(params.mip_bias), offset)
         if key not in self.drawn:
@@ -216,6 +292,16 @@ class Drawer:
             jax.block_until_ready(out)
             self.drawn[key] = (out, inputs, 1e3 * (time.perf_counter() - start))
         return self.drawn[key]
+
+    def _captured(
+        self, shot: Capture, *, centred: bool
+    ) -> tuple[RasterOutput, FrameInputs, float]:
+        """Reads a frame; its own jitter and mip levels are what they are."""
+        if centred not in self.drawn:
+            start = time.perf_counter()
+            out, inputs = shot.draw(self.frame, centred=centred)
+            self.drawn[centred] = (out, inputs, 1e3 * (time.perf_counter() - start))
+        return self.drawn[centred]
 
 
 class Runner:
@@ -246,9 +332,11 @@ class Runner:
 class _Plain(Runner):
     """No AA, and full-screen FXAA: one sample at the pixel centre, hardware mips."""
 
-    def __init__(self, name: str, shot: Sequence, *, filtered: bool) -> None:
+    def __init__(self, name: str, shot: Source, *, filtered: bool) -> None:
         super().__init__(name)
-        config, params = pipeline.preset("ue4", shot.world.scene, shot.size)
+        config, params = pipeline.preset(
+            "ue4", _scene(shot), shot.size, selection=_effects(shot)
+        )
         self.config = config
         self.params = params
         self.filtered = filtered
@@ -275,7 +363,7 @@ class _Adaptive(Runner):
     def __init__(
         self,
         name: str,
-        shot: Sequence,
+        shot: Source,
         options: Options,
         *,
         preset: str,
@@ -284,7 +372,12 @@ class _Adaptive(Runner):
         super().__init__(name)
         budget = options.budget if samples else 0.0
         self.config, self.params = pipeline.preset(
-            preset, shot.world.scene, shot.size, samples=samples or 2, budget=budget
+            preset,
+            _scene(shot),
+            shot.size,
+            samples=samples or 2,
+            budget=budget,
+            selection=_effects(shot),
         )
         if options.params is not None and preset == "tuned":
             self.params = pipeline.with_budget(options.params, budget)
@@ -297,6 +390,7 @@ class _Adaptive(Runner):
         )
         self.first = -options.lead_in
         self.shadow_rays = 0
+        self.output: pipeline.FrameOutput | None = None
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         phase = (frame - self.first) % len(self.jitter)
@@ -304,7 +398,7 @@ class _Adaptive(Runner):
             self.config.raster, self.params.raster, self.jitter[phase]
         )
         self.record("raster", ms)
-        world = drawer.shot.world
+        shot = drawer.shot
         clock = time.perf_counter()
 
         def observe(stage: str, buffers: Any) -> Any:
@@ -315,19 +409,25 @@ class _Adaptive(Runner):
             clock = time.perf_counter()
             return buffers
 
-        inputs = pipeline.with_cut(inputs, frame == self.first)
+        if isinstance(shot, Capture):  # its own cuts reset the history
+            rays: dict[str, Any] = {
+                "trace": shot.trace(frame, self.samples) if self.samples else None
+            }
+        else:
+            inputs = pipeline.with_cut(inputs, frame == self.first)
+            rays = {"scene": shot.world.scene, "tracer": shot.world.tracer}
         output, self.state = pipeline.antialias(
             self.state,
             drawn,
             inputs,
             self.params,
-            scene=world.scene,
-            tracer=world.tracer,
             config=self.config,
             observe=observe,
+            **rays,
         )
+        self.output = output
         pixels = drawer.shot.size[0] * drawer.shot.size[1]
-        self.shadow_rays = int(output.statistics.shadow_rays)
+        self.shadow_rays = int(np.sum(output.statistics.rays.shadow))
         stats = output.statistics
         ataa, new = int(stats.ataa_pixels), int(stats.fxaa_pixels)
         self.shares = {
@@ -354,6 +454,16 @@ class _Supersampled(Runner):
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         shot = drawer.shot
+        count = len(self.offsets)
+        self.shares = {"rays_per_pixel": float(count)}
+        if isinstance(shot, Capture):
+            image = shot.samples(frame, count)
+            if image is None:
+                raise InputError(
+                    f"capture {shot.folder} has no {count}-sample images, which method "
+                    f"{self.name} shows"
+                )
+            return np.asarray(colors.display(jnp.asarray(image)))
         inputs = shot.inputs(frame)
         start = time.perf_counter()
         out = reference.supersample(
@@ -361,11 +471,10 @@ class _Supersampled(Runner):
         )
         jax.block_until_ready(out)
         self.record("supersample", 1e3 * (time.perf_counter() - start))
-        self.shares = {"rays_per_pixel": float(len(self.offsets))}
         return np.asarray(colors.display(out.color))
 
 
-def runner(name: str, shot: Sequence, options: Options) -> Runner:
+def runner(name: str, shot: Source, options: Options) -> Runner:
     """Returns what runs one method of `METHODS` over a sequence."""
     if name in ("none", "fxaa"):
         return _Plain(name, shot, filtered=name == "fxaa")
@@ -389,7 +498,10 @@ def _score(
     truth = images[REFERENCE]
     # Crossed: some of the reference's samples met a thin feature, and some did not.
     crossed = (thin > 0.0) & (thin < 1.0)
-    config, params = pipeline.preset("ue4", drawer.shot.world.scene, result.size)
+    shot = drawer.shot
+    config, params = pipeline.preset(
+        "ue4", _scene(shot), result.size, selection=_effects(shot)
+    )
     centred, _, _ = drawer.draw(config.raster, params.raster, None)
     motion = np.asarray(centred.gbuffer.motion)
     valid = np.asarray(centred.gbuffer.motion_valid)

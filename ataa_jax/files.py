@@ -42,6 +42,12 @@ def output_folder(out: Path) -> Iterator[Path]:
     Raises:
         InputError: `out` cannot be written, or holds files that no earlier run wrote.
     """
+    for folder in (out, *out.parents):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(
+                f"output folder {out} cannot be written, for {folder} is a file; give "
+                "a new or empty folder with --out"
+            )
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)

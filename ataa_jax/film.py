@@ -8,9 +8,10 @@ import numpy as np
 
 from ataa_jax import color as colors
 from ataa_jax import compare, files
-from ataa_jax.compare import Drawer, Options, Runner
+from ataa_jax.capture import results
+from ataa_jax.capture.record import Capture
+from ataa_jax.compare import Drawer, Options, Runner, Source
 from ataa_jax.report import mask_overlay, why_overlay, write_timings
-from ataa_jax.world import Sequence
 
 STATISTICS = (
     "frame",
@@ -24,7 +25,7 @@ STATISTICS = (
 
 
 def shoot(
-    shot: Sequence,
+    shot: Source,
     method: str,
     options: Options,
     folder: Path,
@@ -41,8 +42,13 @@ def shoot(
         video.mp4         all frames
         timings.csv       milliseconds a stage, apart from all else
 
+    Of a capture also, named as its own files are (see `capture.results`):
+
+        antialiased/      linear frames and masks as EXR
+        notes.txt         what stood in for rays, and what the checks found
+
     Args:
-        shot: the world along a path.
+        shot: the world along a path, or a capture.
         method: a key of `compare.METHODS`.
         options: frames, lead-in, budget and parameters.
         folder: where to.
@@ -62,6 +68,11 @@ def shoot(
         if index >= 0:
             _write_frame(folder, index, image, runner, exr=exr)
             rows.append(_statistics(index, runner))
+            if isinstance(shot, Capture):
+                output = getattr(runner, "output", None)
+                output = output if runner.method is not None else None
+                rays = rays_of(shot, method)
+                results.write(folder, shot, index, image, output, rays)
         progress(
             f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
         )
@@ -70,8 +81,19 @@ def shoot(
         {method: runner.steady()}, compare.peak_memory(), folder / "timings.csv"
     )
     shown = (_read(folder / f"frames/{i:04d}.png") for i in range(options.frames))
-    files.write_video(folder / "video.mp4", shown, shot.path.fps)
+    if isinstance(shot, Capture):
+        text = "".join(f"{note}\n" for note in shot.notes)
+        files.write_text(folder / "notes.txt", text)
+    fps = shot.fps if isinstance(shot, Capture) else shot.path.fps
+    files.write_video(folder / "video.mp4", shown, fps)
     return rows
+
+
+def rays_of(shot: Capture, method: str) -> str:
+    """Returns what a capture's frames owe to rays, for their headers."""
+    if not method.startswith("ataa"):
+        return "no ray was traced, and none asked for"
+    return shot.stand_in(int(method[4]))[1]
 
 
 def _write_frame(

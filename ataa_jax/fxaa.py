@@ -108,24 +108,21 @@ def fxaa_sparse(
     """
     luma = colors.luma(image)
     _, is_edge = _contrast(window.neighbours(window.border(luma)), params)
-    indices, count = compact.compact(needed & is_edge)
     height, width = needed.shape
     pixels = height * width
-    chunk = min(config.chunk, pixels)
-    padding = jnp.full((-pixels % chunk,), pixels, jnp.int32)
-    indices = jnp.concatenate([indices, padding])
 
-    def filter_chunk(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        done, output = carry
-        index = jax.lax.dynamic_slice(indices, (done,), (chunk,))
+    def filter_chunk(
+        index: Int[Array, " c"], used: Bool[Array, " c"], output: Float[Array, "n 3"]
+    ) -> Float[Array, "n 3"]:
         inside = jnp.minimum(index, pixels - 1)  # the fill reads the last pixel
         filtered = fxaa_at(
             image, luma, inside // width, inside % width, params, config=config
         )
-        return done + chunk, output.at[index].set(filtered, mode="drop")
+        return output.at[index].set(filtered, mode="drop")
 
-    carry = (jnp.zeros((), jnp.int32), image.reshape(-1, 3))
-    _, output = jax.lax.while_loop(lambda c: c[0] < count, filter_chunk, carry)
+    output = compact.for_each_chunk(
+        needed & is_edge, config.chunk, filter_chunk, image.reshape(-1, 3)
+    )
     return output.reshape(height, width, 3)
 
 

@@ -63,6 +63,14 @@ def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
     return levels
 
 
+def level_shapes(height: int, width: int) -> list[tuple[int, int]]:
+    """Returns (height, width) of every level of a pyramid, the image's first."""
+    shapes = [(height, width)]
+    while max(shapes[-1]) > 1:
+        shapes.append((max(shapes[-1][0] // 2, 1), max(shapes[-1][1] // 2, 1)))
+    return shapes
+
+
 def _halve(image: np.ndarray, axis: int) -> np.ndarray:
     """Box-filters one axis to floor(n / 2) texels (at least 1)."""
     extent = image.shape[axis]

@@ -15,9 +15,19 @@ looks at.
     position = [0, 1, 5]   # world
     target = [0, 1, 0]     # world
     fov_y_degrees = 50     # optional
+
+On the command line a path is named by a text, read by the first rule that fits:
+
+1. a name that ends in ``.toml`` is a file as above;
+2. the exact name of a camera of the scene: a walk from there, even if the name is also
+   a kind of path or holds a colon;
+3. a kind of path, other than keyframes: from the scene's first camera;
+4. ``CAMERA:KIND``, split at the last colon, if what follows it is such a kind.
 """
 
 import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,7 +40,9 @@ from ataa_jax.errors import InputError
 from ataa_jax.scene import CameraSource
 
 KINDS = ("still", "pan", "orbit", "dolly", "walk", "keyframes")
+NAMED_KINDS = KINDS[:-1]  # those that need no file
 SPEEDS = {"typical": 0.01, "rapid": 0.1}
+_KEYFRAME_KEYS = {"frame", "position", "target", "fov_y_degrees"}
 
 
 @dataclass(frozen=True)
@@ -64,13 +76,16 @@ class Pose:
     time: float  # seconds
 
 
-def load(text: str, motion: str | float | None = None) -> CameraPath:
+def load(
+    text: str, motion: str | float | None = None, cameras: Sequence[str] = ()
+) -> CameraPath:
     """Reads ``KIND``, ``CAMERA``, ``CAMERA:KIND`` or the name of a TOML file.
 
     Args:
-        text: what the user gave; a name that is no kind of path is taken for a camera
-            of the scene, from which one walks.
+        text: what the user gave; the module's docstring has the rules. What fits none
+            is taken for a camera that is not known yet.
         motion: overrides the path's speed: "typical", "rapid" or a share of the width.
+        cameras: names of the scene's cameras, as far as they are known.
 
     Returns:
         The path.
@@ -82,17 +97,12 @@ def load(text: str, motion: str | float | None = None) -> CameraPath:
     if text.endswith(".toml"):
         path = _from_toml(Path(text))
     else:
-        camera, separator, kind = text.rpartition(":")
-        if not separator and text not in KINDS:
+        camera, _, kind = text.rpartition(":")
+        if text in cameras or kind not in NAMED_KINDS:
             camera, kind = text, "walk"
-        if kind not in KINDS or kind == "keyframes":
-            raise InputError(
-                f"'{kind}' is no kind of camera path; use one of "
-                f"{', '.join(KINDS[:-1])}, or a TOML file with keyframes"
-            )
         path = CameraPath(kind=kind, camera=camera or None, name=text)
     if motion is not None:
-        path = replace(path, motion=_speed(motion))
+        path = replace(path, motion=_speed("--motion", motion))
     return path
 
 
@@ -186,13 +196,18 @@ def _from_toml(file: Path) -> CameraPath:
     keys = ()
     if kind == "keyframes":
         keys = _keyframes(file, table.get("keyframe"))
+    elif "keyframe" in table:
+        raise InputError(
+            f"camera path {file} has [[keyframe]] tables, but kind {kind!r} reads none"
+            '; say kind = "keyframes" or leave them out'
+        )
     camera = table.get("camera")
     if camera is not None and not isinstance(camera, str):
         raise InputError(f"camera path {file}: camera must be a name, not {camera!r}")
     return CameraPath(
         kind=kind,
         camera=camera,
-        motion=_speed(table.get("motion", "typical")),
+        motion=_speed(f"camera path {file}: motion", table.get("motion", "typical")),
         fps=_number(file, "fps", table.get("fps", 30.0), 1e-3, 1e6),
         keyframes=keys,
         name=file.stem,
@@ -207,6 +222,11 @@ def _keyframes(file: Path, entries: object) -> tuple[Keyframe, ...]:
         where = f"{file}, keyframe {number}"
         if not isinstance(entry, dict):
             raise InputError(f"camera path {where} is not a table")
+        if unknown := sorted(set(entry) - _KEYFRAME_KEYS):
+            raise InputError(
+                f"camera path {where} has the unknown key '{unknown[0]}'; "
+                f"known are {', '.join(sorted(_KEYFRAME_KEYS))}"
+            )
         fov = entry.get("fov_y_degrees")
         key = Keyframe(
             frame=_number(where, "frame", entry.get("frame"), -1e6, 1e6),
@@ -244,15 +264,21 @@ def _number(where: object, name: str, value: object, low: float, high: float) ->
     return float(value)
 
 
-def _speed(value: object) -> float:
+def _speed(where: str, value: object) -> float:
+    """Reads a speed; `where` begins the sentence that refuses it."""
+    share = value
     if isinstance(value, str):
-        if value in SPEEDS:
-            return SPEEDS[value]
-        try:
-            value = float(value)
-        except ValueError:
-            raise InputError(
-                f"motion '{value}' is neither 'typical', 'rapid' nor a share of the "
-                "image's width a frame"
-            ) from None
-    return _number("speed", "motion", value, 0.0, 1.0)
+        share = SPEEDS.get(value)
+        if share is None:
+            with suppress(ValueError):
+                share = float(value)
+    if (
+        isinstance(share, int | float)
+        and not isinstance(share, bool)
+        and 0.0 <= share <= 1.0
+    ):
+        return float(share)
+    raise InputError(
+        f"{where} must be typical, rapid or a share of the image's width a frame, a "
+        f"number from 0 to 1, not {value!r}"
+    )

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import color as colors
 from ataa_jax import (
@@ -34,16 +34,17 @@ from ataa_jax.fxaa import Config as FxaaConfig
 from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import Config as RaytraceConfig
+from ataa_jax.raytrace import RaytraceOutput
 from ataa_jax.segmentation import Config as SegmentationConfig
 from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
-    METHOD_TAA,
     Classification,
     FrameInputs,
     GBuffer,
     History,
+    Rays,
     Scene,
     Segmentation,
     State,
@@ -85,8 +86,8 @@ class Statistics(eqx.Module):
     ataa_pixels: Int[Array, ""]
     overflow_pixels: Int[Array, ""]  # asked for rays beyond the budget
     primary_rays: Int[Array, ""]  # sparse ones, of the raytrace stage
-    shadow_rays: Int[Array, ""]  # of the raytrace stage
-    raster_shadow_rays: Int[Array, ""]
+    rays: Rays  # of the raytrace stage
+    raster_rays: Rays
 
 
 class FrameOutput(eqx.Module):
@@ -120,21 +121,24 @@ def init(size: tuple[int, int]) -> State:
 
 def preset(
     name: str,
-    scene: Scene,
+    scene: Scene | None,
     size: tuple[int, int],
     *,
     samples: int = 8,
     budget: float = 0.5,
+    selection: effects.Selection | None = None,
 ) -> tuple[Config, Params]:
     """Returns configuration and parameters for a scene.
 
     Args:
         name: TAA preset, "tuned" or "ue4".
-        scene: decides the effects that are compiled in.
+        scene: decides the effects that are compiled in; None: nothing will be drawn.
         size: image (height, width).
         samples: rays a traced pixel: 2, 4 or 8.
         budget: sparse primary rays a pixel of the frame, averaged over it; the paper's
             8x stays under 0.5. inf: no cap.
+        selection: effects to compile for, such as `Sequence.effects`; by default what
+            the scene calls for, in any motion.
 
     Raises:
         InputError: unknown preset, or values out of range.
@@ -148,11 +152,18 @@ def preset(
     if not budget >= 0.0:
         raise InputError(f"a ray budget must be at least 0 rays a pixel, not {budget}")
     taa_config, taa_params = taa.PRESETS[name]
-    shading = effects.required(scene)
+    if selection is None:
+        given = RasterConfig().shading if scene is None else effects.required(scene)
+        selection = effects.Selection(given)
     config = Config(
-        raster=raster.Config(size=size, shading=shading),
+        raster=raster.Config(
+            size=size,
+            shading=selection.shading,
+            camera_motion=selection.camera_motion,
+            object_motion=selection.object_motion,
+        ),
         taa=taa_config,
-        raytrace=raytrace.Config(samples=samples, shading=shading),
+        raytrace=raytrace.Config(samples=samples, shading=selection.shading),
     )
     params = Params(
         raster=raster.default_params(MIP_BIAS[name]),
@@ -175,6 +186,8 @@ def _pass(name: str, buffer: _Buffer) -> _Buffer:
 
 
 Observe = Callable[[str, Any], Any]
+# Takes the pixels that get rays; what stands in for the raytrace stage.
+Trace = Callable[[Bool[Array, "h w"]], RaytraceOutput]
 
 
 def antialias(
@@ -183,10 +196,11 @@ def antialias(
     inputs: FrameInputs,
     params: Params,
     *,
-    scene: Scene,
-    tracer: embree.Tracer,
+    scene: Scene | None = None,
+    tracer: embree.Tracer | None = None,
     config: Config,
     observe: Observe = _pass,
+    trace: Trace | None = None,
 ) -> tuple[FrameOutput, State]:
     """Everything after raster; not jitted as a whole, each stage is.
 
@@ -200,6 +214,7 @@ def antialias(
         config: choices.
         observe: sees every stage's output under its name (to time it, say) and
             returns it.
+        trace: gives the traced colours in the place of scene and tracer.
 
     Returns:
         All buffers, and the state for the next frame.
@@ -217,26 +232,26 @@ def antialias(
                 config=config.taa,
             ),
         )  # fmt: skip
-    if not config.adaptive:
-        return _temporal_only(drawn, blended, params)
-    with jax.named_scope("segmentation"):
-        segmented, overflow = observe(
-            "segmentation",
-            segmentation.segment(
-                state, color, gbuffer, blended.reprojected, params.segmentation,
-                _max_pixels(params.budget, size, config.raytrace.samples),
-                config=config.segmentation,
-            ),
-        )  # fmt: skip
-    method, _ = segmentation.unpack_mask(segmented.mask)
-    with jax.named_scope("raytrace"):
-        traced = observe(
-            "raytrace",
-            raytrace.raytrace(
-                scene, inputs, method == METHOD_ATAA,
-                tracer=tracer, config=config.raytrace,
-            ),
-        )  # fmt: skip
+    if config.adaptive:
+        with jax.named_scope("segmentation"):
+            segmented, overflow = observe(
+                "segmentation",
+                segmentation.segment(
+                    state, color, gbuffer, blended.reprojected, params.segmentation,
+                    _max_pixels(params.budget, size, config.raytrace.samples),
+                    config=config.segmentation,
+                ),
+            )  # fmt: skip
+        method, _ = segmentation.unpack_mask(segmented.mask)
+        with jax.named_scope("raytrace"):
+            traced = observe(
+                "raytrace",
+                _trace(trace, scene, tracer, inputs, config)(method == METHOD_ATAA),
+            )
+    else:
+        segmented, overflow = segmentation.all_taa(size), jnp.zeros((), jnp.int32)
+        method, _ = segmentation.unpack_mask(segmented.mask)
+        traced = raytrace.nothing(size, None if scene is None else scene.lights)
     with jax.named_scope("resolve"):
         resolved = observe(
             "resolve",
@@ -244,16 +259,15 @@ def antialias(
                 segmented, color, gbuffer, blended, traced.color, params.resolve
             ),
         )
-    with jax.named_scope("fxaa"):
-        image = observe(
-            "fxaa",
-            fxaa.fxaa_sparse(
-                colors.display(resolved.composite),
-                method == METHOD_FXAA,
-                params.fxaa,
-                config=config.fxaa,
-            ),
-        )
+    image = colors.display(resolved.composite)
+    if config.adaptive:
+        with jax.named_scope("fxaa"):
+            image = observe(
+                "fxaa",
+                fxaa.fxaa_sparse(
+                    image, method == METHOD_FXAA, params.fxaa, config=config.fxaa
+                ),
+            )
     output = FrameOutput(
         image=image,
         raw=color,
@@ -268,8 +282,8 @@ def antialias(
             ataa_pixels=jnp.sum(method == METHOD_ATAA, dtype=jnp.int32),
             overflow_pixels=overflow,
             primary_rays=traced.primary_rays,
-            shadow_rays=traced.shadow_rays,
-            raster_shadow_rays=drawn.shadow_rays,
+            rays=traced.rays,
+            raster_rays=drawn.rays,
         ),
     )
     return output, State(
@@ -277,46 +291,20 @@ def antialias(
     )
 
 
-def _temporal_only(
-    drawn: RasterOutput, blended: taa.TaaOutput, params: Params
-) -> tuple[FrameOutput, State]:
-    """The rest of a frame of plain TAA: every pixel keeps what the TAA stage gave."""
-    size = drawn.gbuffer.depth.shape
-    zero = jnp.zeros((), jnp.int32)
-    nothing = jnp.zeros(size, jnp.float32)
-    segmented = Segmentation(
-        mask=segmentation.pack_mask(
-            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
-        ),
-        why=jnp.zeros(size, jnp.uint8),
-        score=nothing,
-        luminance=nothing,
-        depth=nothing,
-    )
-    black = jnp.zeros((*size, 3), jnp.float32)
-    resolved = resolve.resolve(
-        segmented, drawn.color, drawn.gbuffer, blended, black, params.resolve
-    )
-    output = FrameOutput(
-        image=colors.display(resolved.composite),
-        raw=drawn.color,
-        gbuffer=drawn.gbuffer,
-        taa=blended.color,
-        reprojected=blended.reprojected,
-        segmentation=segmented,
-        traced=black,
-        composite=resolved.composite,
-        statistics=Statistics(
-            fxaa_pixels=zero,
-            ataa_pixels=zero,
-            overflow_pixels=zero,
-            primary_rays=zero,
-            shadow_rays=zero,
-            raster_shadow_rays=drawn.shadow_rays,
-        ),
-    )
-    return output, State(
-        history=resolved.history, classification=resolved.classification
+def _trace(
+    trace: Trace | None,
+    scene: Scene | None,
+    tracer: embree.Tracer | None,
+    inputs: FrameInputs,
+    config: Config,
+) -> Trace:
+    """Returns what gives the traced colours: the raytrace stage, or its stand-in."""
+    if trace is not None:
+        return trace
+    if scene is None or tracer is None:
+        raise InputError("without `trace`, antialias needs a scene and its tracer")
+    return lambda wanted: raytrace.raytrace(
+        scene, inputs, wanted, tracer=tracer, config=config.raytrace
     )
 
 

@@ -18,9 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
 from ataa_jax import color as colors
-from ataa_jax import compact, embree, sampling, shading, vector
+from ataa_jax import compact, embree, sampling, shading, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
-from ataa_jax.types import FrameInputs, Scene
+from ataa_jax.types import FrameInputs, Lights, Rays, Scene
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,21 @@ class RaytraceOutput(eqx.Module):
 
     color: Float[Array, "h w 3"]  # linear radiance; 0 where not traced
     primary_rays: Int[Array, ""]
-    shadow_rays: Int[Array, ""]
+    rays: Rays
+
+    @property
+    def shadow_rays(self) -> Int[Array, ""]:
+        """Shadow rays to all lights."""
+        return jnp.sum(self.rays.shadow, dtype=jnp.int32)
+
+
+def nothing(size: tuple[int, int], lights: Lights | None) -> RaytraceOutput:
+    """Returns what the stage gives where no pixel is traced; None: no lights."""
+    return RaytraceOutput(
+        color=jnp.zeros((*size, 3), jnp.float32),
+        primary_rays=jnp.zeros((), jnp.int32),
+        rays=shading.no_rays(lights),
+    )
 
 
 @partial(jax.jit, static_argnames=("tracer", "config"))
@@ -66,33 +80,24 @@ def raytrace(
     """
     size = (traced.shape[0], traced.shape[1])
     pixels = size[0] * size[1]
-    chunk = min(config.chunk, pixels)
-    indices, count = compact.compact(traced)
-    # Padding to a whole number of chunks; index `pixels` lies outside and is dropped.
-    padding = -pixels % chunk
-    indices = jnp.concatenate([indices, jnp.full((padding,), pixels, jnp.int32)])
     offsets = jnp.asarray(sampling.pattern(config.samples))
-    carry = (
-        jnp.zeros((), jnp.int32),
-        jnp.zeros((pixels, 3), jnp.float32),
-        jnp.zeros((), jnp.int32),
-    )
 
-    def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        done, image, shadow_rays = carry
-        index = jax.lax.dynamic_slice(indices, (done,), (chunk,))
-        used = done + jnp.arange(chunk, dtype=jnp.int32) < count
-        color, shadows = _trace_chunk(
+    def work(
+        index: Int[Array, " n"], used: Bool[Array, " n"], carry: tuple[Array, Rays]
+    ) -> tuple[Array, Rays]:
+        image, rays = carry
+        color, cast = _trace_chunk(
             scene, inputs, index, used, offsets, size, tracer=tracer, config=config
         )
-        image = image.at[jnp.where(used, index, pixels)].set(color, mode="drop")
-        return done + chunk, image, shadow_rays + shadows
+        image = image.at[index].set(color, mode="drop")
+        return image, jax.tree.map(jnp.add, rays, cast)
 
-    _, image, shadow_rays = jax.lax.while_loop(lambda c: c[0] < count, body, carry)
+    start = jnp.zeros((pixels, 3), jnp.float32), shading.no_rays(scene.lights)
+    image, rays = compact.for_each_chunk(traced, config.chunk, work, start)
     return RaytraceOutput(
         color=image.reshape(*size, 3),
-        primary_rays=count * config.samples,
-        shadow_rays=shadow_rays,
+        primary_rays=jnp.sum(traced, dtype=jnp.int32) * config.samples,
+        rays=rays,
     )
 
 
@@ -106,7 +111,7 @@ def _trace_chunk(
     *,
     tracer: embree.Tracer,
     config: Config,
-) -> tuple[Float[Array, "n 3"], Int[Array, ""]]:
+) -> tuple[Float[Array, "n 3"], Rays]:
     """Traces all samples of one chunk of pixels, a pixel's rays side by side."""
     width = size[1]
     row = (index // width).astype(jnp.float32)
@@ -117,25 +122,17 @@ def _trace_chunk(
     # A direction of NaN hits nothing and costs nothing: the chunk's unused tail.
     active = jnp.repeat(used, config.samples)
     direction = vector.materialize(vector.select(active, direction, jnp.nan))
-    direction_array = vector.stack(direction)
-    eye = vector.stack(cameras.position(inputs.camera))
-    hits = embree.intersect(
-        tracer,
-        inputs.world_from_group,
-        jnp.broadcast_to(eye[None, :], direction_array.shape),
-        direction_array,
-    )
-    shaded = shading.radiance(
+    seen = transport.trace(
         scene,
         tracer,
         inputs.world_from_group,
+        cameras.position(inputs.camera),
         direction,
-        hits,
         None,
         0.0,
         config=config.shading,
     )
-    samples = colors.to_average(vector.stack(shaded.color), config.average)
+    samples = colors.to_average(vector.stack(seen.color), config.average)
     samples = samples.reshape(index.shape[0], config.samples, 3)
     mean = jnp.sum(samples, axis=1) * (1.0 / config.samples)
-    return colors.from_average(mean, config.average), shaded.shadow_rays
+    return colors.from_average(mean, config.average), seen.rays

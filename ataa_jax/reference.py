@@ -24,13 +24,14 @@ from jaxtyping import Array, Bool, Float
 
 from ataa_jax import (
     camera,
-    effects,
     embree,
+    layers,
     raster,
     sampling,
     shading,
     surface,
     texture,
+    transport,
     vector,
 )
 from ataa_jax import color as colors
@@ -90,9 +91,7 @@ def supersample(
     Returns:
         Colour and thin coverage.
     """
-    config = raster.Config(
-        size=size, mip_maps=False, shading=effects.required(world.scene)
-    )
+    config = raster.Config(size=size, mip_maps=False, shading=world.shading)
     thin = jnp.asarray(thin_objects(world.source))
     total = jnp.zeros((*size, 3), jnp.float32), jnp.zeros(size, jnp.float32)
     for offset in offsets_px:
@@ -175,11 +174,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
 
 
+_MODULES = (
+    *(camera, embree, layers, raster, sampling, shading, surface, texture),
+    *(transport, vector),
+)
+
+
 @cache
 def _code_hash() -> str:
     """Hashes the sources that decide an image: an old cache is never believed."""
     digest = hashlib.blake2b(digest_size=16)
-    for module in (camera, embree, raster, sampling, shading, surface, texture, vector):
+    for module in _MODULES:
         file = Path(inspect.getfile(module))
         parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
         for part in parts:

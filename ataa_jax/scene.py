@@ -1,19 +1,16 @@
 """Host-side scene description, and its packing into the arrays that shading reads.
 
-Readers (`gltf`, `builtin`, the mesh formats below) produce a `SceneSource` of plain
-NumPy records; `pack` turns it into a `types.Scene`. Nothing here traces a ray.
+Readers (`gltf`, `builtin`, `mesh_files`) produce a `SceneSource` of plain NumPy
+records; `pack` turns it into a `types.Scene`. Nothing here traces a ray.
 """
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import trimesh
-from trimesh.visual import ColorVisuals
 
 from ataa_jax import mipmap, types
 from ataa_jax.errors import InputError
@@ -41,6 +38,7 @@ class MaterialSource:
     normal_scale: float = 1.0
     alpha_mode: str = "OPAQUE"  # OPAQUE, MASK or BLEND
     alpha_cutoff: float = 0.5
+    transmission: float = 0.0  # of the diffuse part, let through
     double_sided: bool = False
     base_color_texture: int = types.NO_TEXTURE  # index into SceneSource.textures
     metallic_roughness_texture: int = types.NO_TEXTURE
@@ -116,14 +114,15 @@ class SceneSource:
     )  # seconds -> float32 (g, 3, 4) world_from_group; [0] is always identity
     duration: float = 0.0  # seconds of authored animation; it loops; 0: nothing moves
     warnings: list[str] = field(default_factory=list)
+    distinct_meshes: int | None = None  # fewer than `meshes` where objects share one
 
 
 def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
     """Packs a description into the arrays that shading and tracing read.
 
     Triangles without area or with corners that are not finite are left out; missing,
-    zero or non-finite normals are replaced by the triangle's own. A BLEND material is
-    packed as a mask with cutoff 0.5.
+    zero or non-finite normals are replaced by the triangle's own. A BLEND material
+    that is opaque everywhere is packed as opaque.
 
     Args:
         source: what a reader found. Its lights may be empty.
@@ -162,7 +161,7 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
     sky = source.sky or SkySource(black, black, black)
     scene = types.Scene(
         geometry=geometry,
-        materials=_pack_materials(source.materials),
+        materials=_pack_materials(source.materials, source.textures),
         textures=_pack_textures(source.textures),
         lights=pack_lights(source.lights),
         sky=pack_sky(sky, 1.0),
@@ -247,6 +246,7 @@ def pack_lights(lights: list[LightSource]) -> types.Lights:
         range=floats([x.range for x in lights]),
         cos_inner=floats([np.cos(x.inner_cone_angle) for x in lights]),
         cos_outer=floats([np.cos(x.outer_cone_angle) for x in lights]),
+        casts=jnp.ones((len(lights),), jnp.bool_),
     )
 
 
@@ -258,146 +258,6 @@ def pack_sky(sky: SkySource, visibility: float) -> types.Sky:
         ground=jnp.asarray(sky.ground, jnp.float32),
         visibility=jnp.asarray(visibility, jnp.float32),
         bounce=jnp.zeros(3, jnp.float32),
-    )
-
-
-def load_mesh(path: str | Path) -> SceneSource:
-    """Loads whatever trimesh reads beside glTF: OBJ, PLY, STL and others.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The scene; nothing moves in it, and it has neither lights nor cameras.
-
-    Raises:
-        InputError: the file is missing, of an unknown kind, malformed, or holds no
-            triangles.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"scene {path} does not exist; give the path of a file")
-    suffix = path.suffix.lower().lstrip(".")
-    known = trimesh.available_formats()
-    if suffix not in known:
-        raise InputError(
-            f"scene {path} has the unknown suffix '.{suffix}'; known are .glb, .gltf "
-            f"and {', '.join('.' + name for name in sorted(known))}"
-        )
-    try:
-        # Not processed: trimesh would drop vertices that are not numbers unseen.
-        loaded = trimesh.load_scene(path, process=False)
-        placed = _placed(loaded)
-    except ImportError:
-        raise InputError(
-            f"scene {path} cannot be read as {suffix}: it is malformed, or its text is "
-            "not UTF-8; check the file"
-        ) from None
-    except Exception as error:  # trimesh's readers raise whatever they stumble over
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            f"scene {path} cannot be read as {suffix}: {reason}; check the file"
-        ) from None
-    materials: list[MaterialSource] = []
-    textures: list[TextureSource] = []
-    meshes: list[MeshSource] = []
-    warnings: list[str] = []
-    for index, (mesh, normal) in enumerate(placed):
-        if len(mesh.faces) == 0:
-            continue
-        if not np.all(np.isfinite(mesh.vertices)):
-            raise InputError(f"scene {path} has vertices that are not finite numbers")
-        uv = getattr(mesh.visual, "uv", None)
-        name = str(mesh.metadata.get("name", f"mesh {index}"))
-        materials.append(_mesh_material(mesh, name, textures, warnings))
-        meshes.append(
-            MeshSource(
-                name=name,
-                position=np.asarray(mesh.vertices, np.float32),
-                triangles=np.asarray(mesh.faces, np.int32),
-                material=len(materials) - 1,
-                normal=None if normal is None else np.asarray(normal, np.float32),
-                uv=None if uv is None else _flipped(np.asarray(uv, np.float32)),
-            )
-        )
-    if not meshes:
-        raise InputError(f"scene {path} holds no triangles; nothing to draw")
-    return SceneSource(path.stem, meshes, materials, textures, warnings=warnings)
-
-
-def _placed(
-    loaded: trimesh.Scene,
-) -> list[tuple[trimesh.Trimesh, np.ndarray | None]]:
-    """Returns the meshes of a trimesh scene in world space, with the file's normals."""
-    found = []
-    for node in loaded.graph.nodes_geometry:
-        matrix, name = loaded.graph[node]
-        mesh = loaded.geometry[name]
-        if not isinstance(mesh, trimesh.Trimesh):
-            continue
-        normal = None
-        # Only normals from the file stand here before anyone asks: `vertex_normals`
-        # would make up smooth ones, which round off every edge of a file without, and
-        # `Scene.dump` forgets those of the file.
-        if "vertex_normals" in mesh._cache:
-            x, y, z = np.asarray(matrix, np.float64)[:3, :3].T
-            cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], 1)
-            side = np.copysign(1.0, x @ np.cross(y, z))
-            normal = np.asarray(mesh.vertex_normals) @ (side * cofactors).T
-        mesh = mesh.copy()
-        mesh.apply_transform(matrix)
-        found.append((mesh, normal))
-    return found
-
-
-def _flipped(uv: np.ndarray) -> np.ndarray:
-    """Turns trimesh's v, up from the image's bottom, into glTF's."""
-    return np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=-1)
-
-
-def _mesh_material(
-    mesh: trimesh.Trimesh,
-    name: str,
-    textures: list[TextureSource],
-    warnings: list[str],
-) -> MaterialSource:
-    """Maps trimesh's materials: base colour and its texture, rough and not metallic.
-
-    Vertex colours are sRGB and averaged. An MTL's Kd is linear, as Blender reads it.
-    """
-    material = getattr(mesh.visual, "material", None)
-    if material is None:
-        if not isinstance(mesh.visual, ColorVisuals) or mesh.visual.kind is None:
-            return _plain(name, _srgb(np.full(4, 200.0)), types.NO_TEXTURE)
-        warnings.append(f"vertex colours of '{name}' are averaged to one base colour")
-        colors = np.asarray(mesh.visual.vertex_colors, np.float64)
-        return _plain(name, _srgb(colors.mean(axis=0)), types.NO_TEXTURE)
-    name = str(getattr(material, "name", "") or name)
-    image = getattr(material, "baseColorTexture", None)
-    if image is None:
-        image = getattr(material, "image", None)
-    if image is not None:
-        textures.append(TextureSource(np.asarray(image.convert("RGBA")), srgb=True))
-        return _plain(name, np.ones(4), len(textures) - 1)
-    color = getattr(material, "main_color", None)
-    rgba = np.ones(4) if color is None else np.asarray(color) / 255.0
-    return _plain(name, rgba, types.NO_TEXTURE)
-
-
-def _srgb(rgba: np.ndarray) -> np.ndarray:
-    """Decodes sRGB codes in [0, 255]; alpha is linear already."""
-    return np.append(mipmap.decode_srgb(rgba[:3] / 255.0), rgba[3] / 255.0)
-
-
-def _plain(name: str, linear: np.ndarray, texture: int) -> MaterialSource:
-    r, g, b, a = (float(channel) for channel in linear)
-    return MaterialSource(
-        name=name,
-        base_color=(r, g, b, a),
-        metallic=0.0,
-        roughness=0.8,
-        double_sided=True,
-        base_color_texture=texture,
     )
 
 
@@ -430,30 +290,67 @@ def _unindexed(
     return corners[keep], normals, uv, len(keep) - count
 
 
-def _pack_materials(materials: list[MaterialSource]) -> types.Materials:
+# Perceptual roughness below which a surface mirrors: our choice. At 0.05 GGX's lobe is
+# narrower than a pixel of a 640-pixel image; by 0.08 it spreads over several.
+MIRROR_ROUGHNESS = 0.08
+_MIRROR_SHARE = 0.01  # our choice: of the texels; a stray one calls for nothing
+
+
+def _shows_through(material: MaterialSource, textures: list[TextureSource]) -> bool:
+    """Returns whether a material lets anything through, at any texel."""
+    if material.alpha_mode == "MASK":
+        return False
+    if material.transmission > 0.0:
+        return True
+    if material.alpha_mode != "BLEND":
+        return False
+    texture = material.base_color_texture
+    if material.base_color[3] < 1.0 or texture == types.NO_TEXTURE:
+        return material.base_color[3] < 1.0
+    return bool(np.any(textures[texture].texels[..., 3] < 255))
+
+
+def _mirrors(material: MaterialSource, textures: list[TextureSource]) -> bool:
+    """Returns whether a material's smooth texels call for reflection rays.
+
+    A cut-out does not: it is a leaf or a chain.
+    """
+    if material.alpha_mode == "MASK":
+        return False
+    if material.roughness < MIRROR_ROUGHNESS:
+        return True
+    texture = material.metallic_roughness_texture
+    if texture == types.NO_TEXTURE:
+        return False
+    green = textures[texture].texels[..., 1]
+    smooth = green < MIRROR_ROUGHNESS / material.roughness * 255.0
+    return float(np.mean(smooth)) > _MIRROR_SHARE
+
+
+def _pack_materials(
+    materials: list[MaterialSource], textures: list[TextureSource]
+) -> types.Materials:
     def floats(values: list[Any]) -> jnp.ndarray:
         return jnp.asarray(np.array(values, np.float32))
 
     def ids(values: list[int]) -> jnp.ndarray:
         return jnp.asarray(np.array(values, np.int32))
 
-    blended = [m.alpha_mode == "BLEND" for m in materials]
+    def flags(values: list[bool]) -> jnp.ndarray:
+        return jnp.asarray(np.array(values, bool))
+
     return types.Materials(
         base_color=floats([m.base_color for m in materials]),
         metallic=floats([m.metallic for m in materials]),
         roughness=floats([m.roughness for m in materials]),
         emissive=floats([m.emissive for m in materials]),
         normal_scale=floats([m.normal_scale for m in materials]),
-        alpha_cutoff=floats(
-            [
-                0.5 if blend else m.alpha_cutoff
-                for m, blend in zip(materials, blended, strict=True)
-            ]
-        ),
-        alpha_masked=jnp.asarray(
-            np.array([m.alpha_mode in ("MASK", "BLEND") for m in materials], bool)
-        ),
-        double_sided=jnp.asarray(np.array([m.double_sided for m in materials], bool)),
+        alpha_cutoff=floats([m.alpha_cutoff for m in materials]),
+        alpha_masked=flags([m.alpha_mode == "MASK" for m in materials]),
+        blended=flags([_shows_through(m, textures) for m in materials]),
+        transmission=floats([m.transmission for m in materials]),
+        mirror=flags([_mirrors(m, textures) for m in materials]),
+        double_sided=flags([m.double_sided for m in materials]),
         base_color_texture=ids([m.base_color_texture for m in materials]),
         metallic_roughness_texture=ids(
             [m.metallic_roughness_texture for m in materials]
@@ -466,30 +363,34 @@ def _pack_materials(materials: list[MaterialSource]) -> types.Materials:
 def _pack_textures(sources: list[TextureSource]) -> types.Textures:
     """Builds the mip pyramids on all cores and lays them out in one array."""
     sources = sources or [TextureSource(np.full((1, 1, 4), 255, np.uint8), srgb=False)]
+    shapes = [mipmap.level_shapes(*s.texels.shape[:2]) for s in sources]
+    levels = max(len(shape) for shape in shapes)
+    # Levels beyond a texture's last repeat its last.
+    table = np.array([s + s[-1:] * (levels - len(s)) for s in shapes], np.int32)
+    height, width = table[..., 0], table[..., 1]
+    counts = np.array([len(shape) for shape in shapes], np.int32)
+    sizes = np.where(np.arange(levels) < counts[:, None], height * width, 0)
+    ends = np.cumsum(sizes.reshape(-1)).reshape(sizes.shape)
+    starts = ends - sizes
+    last = np.minimum(np.arange(levels), counts[:, None] - 1)
+    offset = np.take_along_axis(starts, last, axis=1).astype(np.int32)
+    flat = np.empty(int(ends[-1, -1]), np.uint32)
+
+    def fill(row: int) -> None:
+        source = sources[row]
+        levels_of = mipmap.pyramid(source.texels, source.srgb)
+        for level, texels in enumerate(levels_of):
+            first = starts[row, level]
+            flat[first : first + texels.size] = texels.reshape(-1)
+
     with ThreadPoolExecutor() as pool:
-        pyramids = list(pool.map(lambda s: mipmap.pyramid(s.texels, s.srgb), sources))
-    levels = max(len(pyramid) for pyramid in pyramids)
-    offset = np.zeros((len(sources), levels), np.int32)
-    height, width = np.zeros_like(offset), np.zeros_like(offset)
-    flat: list[np.ndarray] = []
-    start = 0
-    for row, pyramid in enumerate(pyramids):
-        for level in range(levels):
-            if level < len(pyramid):
-                texels = pyramid[level]
-                flat.append(texels.reshape(-1))
-                offset[row, level] = start
-                height[row, level], width[row, level] = texels.shape
-                start += texels.size
-            else:
-                for table in (offset, height, width):
-                    table[row, level] = table[row, level - 1]
+        list(pool.map(fill, range(len(sources))))
     return types.Textures(
-        texels=jnp.asarray(np.concatenate(flat)),
+        texels=jnp.asarray(flat),
         level_offset=jnp.asarray(offset),
         level_height=jnp.asarray(height),
         level_width=jnp.asarray(width),
-        level_count=jnp.asarray(np.array([len(p) for p in pyramids], np.int32)),
+        level_count=jnp.asarray(counts),
         wrap_u=jnp.asarray(np.array([s.wrap_u for s in sources], np.int32)),
         wrap_v=jnp.asarray(np.array([s.wrap_v for s in sources], np.int32)),
         srgb=jnp.asarray(np.array([s.srgb for s in sources], bool)),

@@ -8,6 +8,7 @@ Per pixel, in the paper's order, an antialiasing method is chosen:
 3. temporal change of luminance, of 3×3 means;
 4. change of depth, a 3×3 Sobel filter of inverse depth;
    3 and 4 weigh equally; together against a threshold they *fire*: the pixel is ATAA's.
+   Further criteria, off by default, join their weighted mean.
 
 What passes no test is TAA's. Symbols: m is a pixel's motion vector (previous − current
 position, px), m′ the previous frame's at the reprojected pixel, z linear depth.
@@ -15,16 +16,15 @@ Border rule of every 3×3 and of every history read: clamp to edge.
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal
+from functools import partial, reduce
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from ataa_jax import color as colors
-from ataa_jax import compact, vector, window
+from ataa_jax import compact, terms, window
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -33,9 +33,13 @@ from ataa_jax.types import (
     WHY_DISOCCLUDED,
     WHY_HELD,
     WHY_LUMINANCE,
+    WHY_MATERIAL,
+    WHY_NORMAL,
+    WHY_OBJECT,
     WHY_OFF_SCREEN,
     WHY_OVER_BUDGET,
     WHY_RESET,
+    WHY_SPREAD,
     GBuffer,
     Segmentation,
     State,
@@ -63,6 +67,11 @@ class Config:
     use_history: bool = True  # False: nothing is held
     use_luminance: bool = True
     use_depth: bool = True
+    # Beyond the paper, off by default; see `terms`.
+    use_normal: bool = False  # angle between normals
+    use_object: bool = False  # another object in the 3×3
+    use_material: bool = False  # another material in the 3×3
+    use_spread: bool = False  # luminance varies in the 3×3 as it did not before
 
 
 class Params(eqx.Module):
@@ -73,6 +82,12 @@ class Params(eqx.Module):
     depth_threshold: Float[Array, ""]  # reading "either"
     luminance_weight: Float[Array, ""]  # at least 0
     depth_weight: Float[Array, ""]  # at least 0
+    normal_weight: Float[Array, ""]  # of a criterion that is off nothing is read
+    object_weight: Float[Array, ""]
+    material_weight: Float[Array, ""]
+    spread_weight: Float[Array, ""]
+    normal_threshold: Float[Array, ""]  # reading "either"
+    spread_threshold: Float[Array, ""]  # reading "either"
     luminance_floor: Float[Array, ""]  # tone-mapped luma under which change is noise
     disocclusion_px: Float[Array, ""]  # |m − m′| that says: something else was there
     disocclusion_relative: Float[Array, ""]  # and this share of the longer of the two
@@ -89,6 +104,12 @@ def default_params(
     depth_threshold: float = 0.1,  # our choice: likewise
     luminance_weight: float = 1.0,  # paper, section 3: "weighted equally"
     depth_weight: float = 1.0,
+    normal_weight: float = 1.0,  # our choice: once on, like the paper's two
+    object_weight: float = 1.0,
+    material_weight: float = 1.0,
+    spread_weight: float = 1.0,
+    normal_threshold: float = 0.1,  # our choice: 18°
+    spread_threshold: float = 0.1,  # our choice: as luminance_threshold
     luminance_floor: float = 0.004,  # our choice: one step of an 8-bit linear image
     # our choice: surfaces whose motion agrees within a pixel blur by less than the
     # history's filter does; the relative part forgives what a constant acceleration
@@ -106,6 +127,12 @@ def default_params(
         depth_threshold=jnp.asarray(depth_threshold, jnp.float32),
         luminance_weight=jnp.asarray(luminance_weight, jnp.float32),
         depth_weight=jnp.asarray(depth_weight, jnp.float32),
+        normal_weight=jnp.asarray(normal_weight, jnp.float32),
+        object_weight=jnp.asarray(object_weight, jnp.float32),
+        material_weight=jnp.asarray(material_weight, jnp.float32),
+        spread_weight=jnp.asarray(spread_weight, jnp.float32),
+        normal_threshold=jnp.asarray(normal_threshold, jnp.float32),
+        spread_threshold=jnp.asarray(spread_threshold, jnp.float32),
         luminance_floor=jnp.asarray(luminance_floor, jnp.float32),
         disocclusion_px=jnp.asarray(disocclusion_px, jnp.float32),
         disocclusion_relative=jnp.asarray(disocclusion_relative, jnp.float32),
@@ -133,6 +160,20 @@ def unpack_mask(
 ) -> tuple[UInt[Array, "h w"], UInt[Array, "h w"]]:
     """Returns (method, classification history) of a packed mask, both uint32."""
     return mask & jnp.uint32(0xFFFF), mask >> jnp.uint32(16)
+
+
+def all_taa(size: tuple[int, int]) -> Segmentation:
+    """Returns the segmentation of plain TAA: every pixel, and no reason to doubt it."""
+    nothing = jnp.zeros(size, jnp.float32)
+    return Segmentation(
+        mask=pack_mask(
+            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
+        ),
+        why=jnp.zeros(size, jnp.uint16),
+        score=nothing,
+        luminance=nothing,
+        depth=nothing,
+    )
 
 
 @partial(jax.jit, static_argnames="config")
@@ -207,17 +248,8 @@ def segmentation(
     reset = (held_frames > 0) & ~(change <= params.reset_px) & ~fxaa
     held = (held_frames > 0) & ~reset & ~fxaa
 
-    luminance = depth = jnp.zeros(new.shape, jnp.float32)
-    if config.use_luminance:
-        luminance = _luminance_term(color, reprojected, params.luminance_floor)
-    if config.use_depth:
-        depth = _depth_term(gbuffer.depth)
-    score, firing_score = _score(luminance, depth, params, config)
-    luminance_limit, depth_limit = (
-        (params.threshold, params.threshold)
-        if config.reading == "sum"
-        else (params.luminance_threshold, params.depth_threshold)
-    )
+    criteria = _criteria(color, gbuffer, reprojected, params, config)
+    score, firing_score = _score(criteria, params, config)
     fires = (score > firing_score) & ~fxaa
     score = jnp.where(held, jnp.maximum(score, firing_score), score)
 
@@ -235,21 +267,66 @@ def segmentation(
         _bit(new, WHY_OFF_SCREEN)
         | _bit(disoccluded, WHY_DISOCCLUDED)
         | _bit(held, WHY_HELD)
-        | _bit(fires & (luminance > luminance_limit), WHY_LUMINANCE)
-        | _bit(fires & (depth > depth_limit), WHY_DEPTH)
         | _bit(reset, WHY_RESET)
     )
+    zeros = jnp.zeros(new.shape, jnp.float32)
+    found: dict[int, Array] = {WHY_LUMINANCE: zeros, WHY_DEPTH: zeros}
+    for each in criteria:
+        limit = params.threshold if config.reading == "sum" else each.threshold
+        why |= _bit(fires & (each.term > limit), each.why)
+        found[each.why] = each.term
     return Segmentation(
         mask=pack_mask(method, counter),
         why=why,
         score=jnp.where(fxaa, 0.0, score),
-        luminance=luminance,
-        depth=depth,
+        luminance=found[WHY_LUMINANCE],
+        depth=found[WHY_DEPTH],
     )
 
 
+class _Criterion(NamedTuple):
+    """One term that is switched on, and how it counts."""
+
+    why: int  # its bit
+    term: Float[Array, "h w"]  # in [0, 1]
+    weight: Float[Array, ""]
+    threshold: Float[Array, ""]  # reading "either"
+
+
+def _criteria(
+    color: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    reprojected: Float[Array, "h w 3"],
+    params: Params,
+    config: Config,
+) -> list[_Criterion]:
+    """Returns the terms that the configuration switches on; no other is computed."""
+    p, found = params, []
+    if config.use_luminance:
+        term = terms.luminance(color, reprojected, p.luminance_floor)
+        limit = p.luminance_threshold
+        found.append(_Criterion(WHY_LUMINANCE, term, p.luminance_weight, limit))
+    if config.use_depth:
+        term = terms.depth_edge(gbuffer.depth)
+        found.append(_Criterion(WHY_DEPTH, term, p.depth_weight, p.depth_threshold))
+    if config.use_normal:
+        term = terms.normal_edge(gbuffer.normal)
+        found.append(_Criterion(WHY_NORMAL, term, p.normal_weight, p.normal_threshold))
+    half = jnp.float32(0.5)  # an edge between ids is 0 or 1
+    if config.use_object:
+        term = terms.id_edge(gbuffer.object)
+        found.append(_Criterion(WHY_OBJECT, term, p.object_weight, half))
+    if config.use_material:
+        term = terms.id_edge(gbuffer.material)
+        found.append(_Criterion(WHY_MATERIAL, term, p.material_weight, half))
+    if config.use_spread:
+        term = terms.spread(color, reprojected, p.luminance_floor)
+        found.append(_Criterion(WHY_SPREAD, term, p.spread_weight, p.spread_threshold))
+    return found
+
+
 def _bit(condition: Bool[Array, "h w"], bit: int) -> UInt[Array, "h w"]:
-    return jnp.where(condition, jnp.uint8(bit), jnp.uint8(0))
+    return jnp.where(condition, jnp.uint16(bit), jnp.uint16(0))
 
 
 def _motion_change(
@@ -289,84 +366,28 @@ def _was_hidden(
 
     1/z′ − 1/z > relative · 1/z′, that is z′ < (1 − relative) z; sky is at 1/z = 0.
     """
-    inverse, inverse_then = _inverse_depth(depth), _inverse_depth(then)
+    inverse, inverse_then = terms.inverse_depth(depth), terms.inverse_depth(then)
     return inverse_then - inverse > relative * inverse_then
 
 
-def _inverse_depth(depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Returns 1/z: 0 for the sky, for NaN, and for depths that are not positive."""
-    positive = depth > 1e-30  # our choice: nearer, 1/z would leave float32
-    return jnp.where(positive, 1.0 / jnp.where(positive, depth, 1.0), 0.0)
-
-
-def _luminance_term(
-    color: Float[Array, "h w 3"],
-    reprojected: Float[Array, "h w 3"],
-    floor: Float[Array, ""],
-) -> Float[Array, "h w"]:
-    """Returns |m(L) − m(L′)| / max of both, m the 3×3 mean, L tone-mapped luma.
-
-    In [0, 1]; 0 where both means are below the floor.
-    """
-    now, then = (
-        window.mean3x3(window.border(_tonemapped_luma(image)))
-        for image in (color, reprojected)
-    )
-    larger = jnp.maximum(now, then)
-    seen = (larger >= floor) & (larger > 0.0)
-    return jnp.where(seen, jnp.abs(now - then) / jnp.where(seen, larger, 1.0), 0.0)
-
-
-def _tonemapped_luma(image: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
-    return colors.luma_vec(colors.to_average_vec(vector.unstack(image), "tonemap"))
-
-
-def _depth_term(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Returns |Sobel(1/z)| / (8 · max 1/z), both over the 3×3; 0 where all is sky.
-
-    A plane's 1/z is linear in the image, so its gradient is constant; divided by the
-    largest 1/z, the term has no unit. It lies in [0, 1].
-    """
-    bordered = window.border(_inverse_depth(depth))
-    largest = window.reduce3x3(bordered, jnp.maximum)
-    n = window.neighbours(bordered)
-    # Divided before squaring: 1/z² of tiny scenes would leave float32.
-    scale = jnp.where(largest > 0.0, 1.0 / jnp.where(largest > 0.0, largest, 1.0), 0.0)
-    right = n[0][2] + 2.0 * n[1][2] + n[2][2]
-    left = n[0][0] + 2.0 * n[1][0] + n[2][0]
-    lower = n[2][0] + 2.0 * n[2][1] + n[2][2]
-    upper = n[0][0] + 2.0 * n[0][1] + n[0][2]
-    gradient_x, gradient_y = (right - left) * scale, (lower - upper) * scale
-    return jnp.sqrt(gradient_x * gradient_x + gradient_y * gradient_y) * 0.125
-
-
 def _score(
-    luminance: Float[Array, "h w"],
-    depth: Float[Array, "h w"],
-    params: Params,
-    config: Config,
-) -> tuple[Float[Array, "h w"], Float[Array, ""]]:
+    criteria: list[_Criterion], params: Params, config: Config
+) -> tuple[Float[Array, "h w"] | Float[Array, ""], Float[Array, ""]]:
     """Returns (score, the value above which a pixel fires).
 
     sum: the weighted mean of the terms, against the threshold. either: with r the
-    larger ratio of a term to its threshold, r / (1 + r), which passes ½ where r
+    largest ratio of a term to its threshold, r / (1 + r), which passes ½ where r
     passes 1 and ranks pixels by how far they are over.
     """
+    zero = jnp.float32(0.0)
     if config.reading == "either":
         least = 1e-6  # a threshold of 0 fires at the smallest change
-        ratio = jnp.maximum(
-            luminance / jnp.maximum(params.luminance_threshold, least),
-            depth / jnp.maximum(params.depth_threshold, least),
-        )
+        ratios = [c.term / jnp.maximum(c.threshold, least) for c in criteria]
+        ratio = reduce(jnp.maximum, ratios, zero)
         return ratio / (1.0 + ratio), jnp.float32(0.5)
-    zero = jnp.float32(0.0)
-    w_luminance = params.luminance_weight if config.use_luminance else zero
-    w_depth = params.depth_weight if config.use_depth else zero
-    total = w_luminance + w_depth
-    mean = (w_luminance * luminance + w_depth * depth) / jnp.where(
-        total > 0.0, total, 1.0
-    )
-    return mean, params.threshold
+    total = sum((c.weight for c in criteria), zero)
+    weighted = sum((c.weight * c.term for c in criteria), zero)
+    return weighted / jnp.where(total > 0.0, total, 1.0), params.threshold
 
 
 @jax.jit

@@ -14,19 +14,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import embree, texture, vector
-from ataa_jax.surface import Surface, interpolate
-from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Scene, Sky
+from ataa_jax import embree, layers, texture, vector
+from ataa_jax.scene import MIRROR_ROUGHNESS
+from ataa_jax.surface import Surface, interpolate, lifted
+from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Rays, Scene, Sky
 from ataa_jax.vector import Vec3
 
 # Perceptual roughness below this makes GGX's peak exceed what float32 and eight
 # samples resolve (Filament's documentation, 4.8.3.1, gives 0.045 for float32).
 _MIN_ROUGHNESS = 0.045
 
-# A shadow ray starts off its surface by this share of the triangle's largest
-# coordinate: 2^8 ulp, the figure of Wächter and Binder (Ray Tracing Gems, chapter 6),
-# without their absolute term, so that a scene scaled by 2^k casts the same shadows.
-_OFFSET = 2.0**-16
+# our choice: below this roughness a surface is a mirror and no less; between it and
+# MIRROR_ROUGHNESS the reflection ray fades into the sky's blurred reflection.
+_FULL = 0.05
 
 _MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
 
@@ -43,8 +43,19 @@ class Config:
     normal_maps: bool = True
     emission: bool = True
     emissive_textures: bool = True
+    transparency: bool = True
+    reflections: bool = True
     shadows: bool = True
     sky: bool = True
+
+
+class Mirror(eqx.Module):
+    """What a mirror shows: color + weight · (radiance along direction) − sky's part."""
+
+    smooth: Bool[Array, " n"]  # False: the surface is no mirror there
+    direction: Vec3  # world, unit
+    weight: Vec3  # Fresnel reflectance, times how mirror-like the surface is
+    replaced: Vec3  # the sky's reflection, which `Shaded.color` holds
 
 
 class Shaded(eqx.Module):
@@ -52,7 +63,10 @@ class Shaded(eqx.Module):
 
     color: Vec3  # linear radiance toward the viewer; the sky on a miss
     surface: Surface
-    shadow_rays: Int[Array, ""]
+    mirror: Mirror | None  # None: reflections are off
+    opacity: Float[Array, " n"] | None  # None: the batch met solid surfaces
+    transmittance: Vec3 | None  # of what lies behind
+    rays: Rays  # shadow rays, and those through layers toward lights
 
 
 class _Material(eqx.Module):
@@ -64,6 +78,9 @@ class _Material(eqx.Module):
     roughness: Float[Array, " n"]
     emissive: Vec3 | None
     normal: Vec3
+    mirror: Float[Array, " n"] | None  # 1: a mirror; 0: not at all
+    opacity: Float[Array, " n"] | None
+    transmittance: Vec3 | None
 
 
 def radiance(
@@ -77,8 +94,9 @@ def radiance(
     *,
     config: Config,
     tile: tuple[int, int] | None = None,
+    clear: bool = False,
 ) -> Shaded:
-    """Shades what rays met.
+    """Shades what rays met: the surfaces alone, not what they mirror or let through.
 
     Args:
         scene: geometry, materials, textures, lights and sky.
@@ -93,6 +111,7 @@ def radiance(
         config: the effects to compile.
         tile: image (height, width) where the rays are its pixels in row-major order;
             shadow rays of 4×4 pixels then travel together.
+        clear: the hits are on transparent surfaces: tell their opacity too.
 
     Returns:
         Radiance and surfaces; shadow rays are cast for lit, facing hits only.
@@ -101,12 +120,21 @@ def radiance(
         interpolate(scene.geometry, world_from_group, hits, direction, steps)
     )
     view = vector.materialize(-vector.normalize(direction))
-    material = vector.materialize(_evaluate_material(scene, surface, mip_bias, config))
-    color, shadow_rays = _direct(
-        scene.lights, tracer, world_from_group, surface, material, view, tile, config
+    material = vector.materialize(
+        _evaluate_material(scene, surface, view, mip_bias, config, clear=clear)
     )
+    color, rays = _direct(
+        scene, tracer, world_from_group, surface, material, view, tile, config
+    )
+    mirror = None
     if config.sky:
-        color = color + _ambient(scene.sky, material, view)
+        diffuse, specular = _ambient(scene.sky, material, view)
+        color = color + (diffuse + specular)
+        if config.reflections:
+            mirror = vector.materialize(_mirror(surface, material, view, specular))
+    elif config.reflections:
+        black = jax.tree.map(jnp.zeros_like, color)
+        mirror = vector.materialize(_mirror(surface, material, view, black))
     if material.emissive is not None:
         # Materialized first: fused, an emission of 0 would still change a last bit.
         color = vector.materialize(color) + material.emissive
@@ -115,7 +143,12 @@ def radiance(
         background = sky_radiance(scene.sky, -view)
     color = vector.select(surface.hit, color, background)
     return Shaded(
-        color=vector.materialize(color), surface=surface, shadow_rays=shadow_rays
+        color=vector.materialize(color),
+        surface=surface,
+        mirror=mirror,
+        opacity=material.opacity,
+        transmittance=material.transmittance,
+        rays=rays,
     )
 
 
@@ -138,7 +171,13 @@ def _sky_colors(sky: Sky) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def _evaluate_material(
-    scene: Scene, surface: Surface, mip_bias: Float[Array, ""] | float, config: Config
+    scene: Scene,
+    surface: Surface,
+    view: Vec3,
+    mip_bias: Float[Array, ""] | float,
+    config: Config,
+    *,
+    clear: bool = False,
 ) -> _Material:
     table, material = scene.materials, surface.material
 
@@ -173,15 +212,88 @@ def _evaluate_material(
         (emissive,) = vector.take3(table.emissive, material)
         if config.emissive_textures:
             emissive = emissive * fetch(table.emissive_texture, srgb=True)
+    mirror = None
+    if config.reflections:
+        fade = (MIRROR_ROUGHNESS - roughness) * (1.0 / (MIRROR_ROUGHNESS - _FULL))
+        mirror = jnp.where(table.mirror[material], jnp.clip(fade, 0.0, 1.0), 0.0)
     roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
     metallic = jnp.clip(metallic, 0.0, 1.0)
+    diffuse = base * (1.0 - metallic)
+    opacity = transmittance = None
+    if clear:
+        opacity = table.base_color.reshape(-1)[material * 4 + 3]
+        if config.base_color_textures:
+            opacity = opacity * texture.sample_alpha(
+                scene.textures,
+                table.base_color_texture[material],
+                surface.uv,
+                surface.uv_dx,
+                surface.uv_dy,
+                mip_bias,
+            )
+        share = table.transmission[material]
+        cos_view = jnp.clip(vector.dot(surface.normal, view), 0.0, 1.0)
+        passed = share * (1.0 - _schlick(0.04, cos_view))
+        transmittance = (1.0 - opacity) + diffuse * (opacity * passed)
+        diffuse = diffuse * (1.0 - share)
     return _Material(
-        diffuse=base * (1.0 - metallic),
+        diffuse=diffuse,
         f0=(base - 0.04) * metallic + 0.04,
         alpha=roughness * roughness,
         roughness=roughness,
         emissive=emissive,
         normal=normal,
+        mirror=mirror,
+        opacity=opacity,
+        transmittance=transmittance,
+    )
+
+
+def _schlick(f0: float, cosine: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Returns Schlick's Fresnel reflectance."""
+    grazing = 1.0 - cosine
+    return f0 + (1.0 - f0) * (grazing * grazing * (grazing * grazing) * grazing)
+
+
+def transmittance(
+    scene: Scene,
+    world_from_group: Float[Array, "g 3 4"],
+    direction: Vec3,
+    hits: Hits,
+    *,
+    config: Config,
+) -> tuple[Vec3, Surface]:
+    """Returns what share of light transparent surfaces let through, and the surfaces.
+
+    glTF's BLEND lets 1 − α through, of any colour; KHR_materials_transmission lets the
+    base colour's share of what enters through, too. Read at mip level 0: a light has
+    no pixels. Thin surfaces: nothing is refracted.
+    """
+    surface = vector.materialize(
+        interpolate(scene.geometry, world_from_group, hits, direction, None)
+    )
+    view = -vector.normalize(direction)
+    material = _evaluate_material(scene, surface, view, 0.0, config, clear=True)
+    assert material.transmittance is not None
+    return material.transmittance, surface
+
+
+def _mirror(
+    surface: Surface, material: _Material, view: Vec3, sky_specular: Vec3
+) -> Mirror:
+    """Returns what a reflection ray has to be cast for."""
+    cos_view = jnp.maximum(vector.dot(material.normal, view), 1e-4)
+    direction = vector.normalize(material.normal * (2.0 * cos_view) - view)
+    assert material.mirror is not None
+    # A bent normal may send the ray into its own surface: there the sky stands in.
+    out = vector.dot(direction, surface.geometric_normal) > 0.0
+    smooth = surface.hit & out & (material.mirror > 0.0)
+    share = jnp.where(smooth, material.mirror, 0.0)
+    return Mirror(
+        smooth=smooth,
+        direction=direction,
+        weight=_environment_brdf(material, cos_view) * share,
+        replaced=sky_specular * share,
     )
 
 
@@ -205,12 +317,13 @@ def _normal_mapped(
     return vector.select(present & facing, bent, surface.normal)
 
 
-def _ambient(sky: Sky, material: _Material, view: Vec3) -> Vec3:
-    """Returns the sky's light times its visibility, and that of the surroundings.
+def _ambient(sky: Sky, material: _Material, view: Vec3) -> tuple[Vec3, Vec3]:
+    """Returns diffuse and specular reflection of the sky times its visibility.
 
-    The diffuse term takes the mean radiance of the hemisphere about the normal, linear
-    between the mean of the upper sky and the ground; the specular term is Karis's
-    mobile environment BRDF ("Physically based shading on mobile", 2014).
+    What hides the rest of the sky sends its own light, which is added to the diffuse
+    part. The diffuse term takes the mean radiance of the hemisphere about the normal,
+    linear between the mean of the upper sky and the ground; the specular term is
+    Karis's mobile environment BRDF ("Physically based shading on mobile", 2014).
     """
     normal = material.normal
     cos_view = jnp.maximum(vector.dot(normal, view), 1e-4)
@@ -220,20 +333,26 @@ def _ambient(sky: Sky, material: _Material, view: Vec3) -> Vec3:
     mirrored = vector.normalize(normal * (2.0 * cos_view) - view)
     blurred = sky_radiance(sky, mirrored)
     blurred = blurred + (irradiance - blurred) * material.roughness
-    # Karis's fit: r = roughness · c0 + c1.
+    specular = _environment_brdf(material, cos_view) * blurred
+    diffuse = material.diffuse * irradiance * sky.visibility
+    bounce = material.diffuse * vector.unstack(sky.bounce)
+    return diffuse + bounce, specular * sky.visibility
+
+
+def _environment_brdf(material: _Material, cos_view: Float[Array, " n"]) -> Vec3:
+    """Returns the specular reflectance of a uniform environment (Karis's fit)."""
+    # r = roughness · c0 + c1
     r_x = 1.0 - material.roughness
     r_y = 0.0425 - 0.0275 * material.roughness
     r_z = 1.04 - 0.572 * material.roughness
     r_w = 0.022 * material.roughness - 0.04
     a004 = jnp.minimum(r_x * r_x, jnp.exp2(-9.28 * cos_view)) * r_x + r_y
     scale, bias = -1.04 * a004 + r_z, 1.04 * a004 + r_w
-    specular = material.f0 * scale + bias
-    reflected = material.diffuse * irradiance + specular * blurred
-    return reflected * sky.visibility + material.diffuse * vector.unstack(sky.bounce)
+    return material.f0 * scale + bias
 
 
 def _direct(
-    lights: Lights,
+    scene: Scene,
     tracer: embree.Tracer,
     world_from_group: Float[Array, "g 3 4"],
     surface: Surface,
@@ -241,19 +360,22 @@ def _direct(
     view: Vec3,
     tile: tuple[int, int] | None,
     config: Config,
-) -> tuple[Vec3, Int[Array, ""]]:
+) -> tuple[Vec3, Rays]:
     """Sums the punctual lights; a scan compiles the shadow ray once for all lights."""
+    lights = scene.lights
     black = jax.tree.map(jnp.zeros_like, surface.position)
+    zero = jnp.zeros((), jnp.int32)
     count = lights.kind.shape[0]
     if count == 0:
-        return black, jnp.zeros((), jnp.int32)
-    lift = surface.geometric_normal * (surface.magnitude * _OFFSET)
-    start = vector.materialize(vector.stack(surface.position + lift))
+        return black, no_rays(lights)
+    start = vector.materialize(lifted(surface))
+    start_array = vector.stack(start)
 
     def add(
         carry: tuple[Vec3, Int[Array, ""]], light: Lights
-    ) -> tuple[tuple[Vec3, Int[Array, ""]], None]:
-        total, rays = carry
+    ) -> tuple[tuple[Vec3, Int[Array, ""]], Int[Array, ""]]:
+        total, layer_rays = carry
+        shadow_rays = zero
         toward, distance, irradiance = vector.materialize(
             _incident(light, surface.position)
         )
@@ -262,27 +384,64 @@ def _direct(
         lit = surface.hit & (cos_light > 0.0) & (cos_geometric > 0.0)
         lit = lit & (vector.largest(irradiance) > 0.0)
         if config.shadows:
+            tested = lit & light.casts
             shadowed = embree.occluded(
                 tracer,
                 world_from_group,
-                start,
+                start_array,
                 vector.stack(toward),
                 distance,
-                lit,
+                tested,
                 tile=tile,
             )
-            rays = rays + jnp.sum(lit, dtype=jnp.int32)
+            shadow_rays = jnp.sum(tested, dtype=jnp.int32)
             lit = lit & ~shadowed
+            if config.transparency and tracer.clear is not None:
+                passed, rays = _through_layers(
+                    scene, tracer.clear, world_from_group, start, toward, distance,
+                    lit & light.casts, tile, config,
+                )  # fmt: skip
+                irradiance = irradiance * passed
+                layer_rays = layer_rays + rays
         reflected = _brdf(material, view, toward) * irradiance
         total = total + reflected * jnp.where(lit, cos_light, 0.0)
-        return (total, rays), None
+        return (total, layer_rays), shadow_rays
 
-    carry = (black, jnp.zeros((), jnp.int32))
+    carry = (black, zero)
     if count == 1:
-        carry, _ = add(carry, jax.tree.map(lambda x: x[0], lights))
+        carry, shadow_rays = add(carry, jax.tree.map(lambda x: x[0], lights))
+        shadow_rays = shadow_rays[None]
     else:
-        carry, _ = jax.lax.scan(add, carry, lights)
-    return carry
+        carry, shadow_rays = jax.lax.scan(add, carry, lights)
+    return carry[0], Rays(shadow=shadow_rays, reflection=zero, layer=carry[1])
+
+
+def no_rays(lights: Lights | None) -> Rays:
+    """Returns a count of no rays at all; None: of no lights either."""
+    zero = jnp.zeros((), jnp.int32)
+    shape = (0,) if lights is None else lights.kind.shape
+    return Rays(shadow=jnp.zeros(shape, jnp.int32), reflection=zero, layer=zero)
+
+
+def _through_layers(
+    scene: Scene,
+    clear: embree.Tracer,
+    world_from_group: Float[Array, "g 3 4"],
+    start: Vec3,
+    toward: Vec3,
+    distance: Float[Array, " n"],
+    lit: Bool[Array, " n"],
+    tile: tuple[int, int] | None,
+    config: Config,
+) -> tuple[Vec3, Int[Array, ""]]:
+    """Returns the share of a light that transparent surfaces let through, and rays."""
+
+    def share(direction: Vec3, hits: Hits) -> tuple[Vec3, Surface]:
+        return transmittance(scene, world_from_group, direction, hits, config=config)
+
+    return layers.passed(
+        clear, world_from_group, start, toward, distance, lit, share, tile=tile
+    )
 
 
 def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Float[Array, " n"], Vec3]:

@@ -16,6 +16,11 @@ from ataa_jax import vector
 from ataa_jax.types import Geometry, Hits
 from ataa_jax.vector import Vec3
 
+# A ray starts off its surface by this share of the triangle's largest coordinate:
+# 2^8 ulp, the figure of Wächter and Binder (Ray Tracing Gems, chapter 6), without their
+# absolute term, so that a scene scaled by 2^k casts the same rays.
+_OFFSET = 2.0**-16
+
 
 class Uv(eqx.Module):
     """A texture coordinate, or its change by one pixel."""
@@ -111,6 +116,13 @@ def interpolate(
         triangle=triangle,
         material=geometry.material[triangle],
         object=geometry.object[triangle],
+    )
+
+
+def lifted(surface: Surface, side: float = 1.0) -> Vec3:
+    """Returns where rays leave the surface: on the viewer's side, or (−1) beyond it."""
+    return surface.position + surface.geometric_normal * (
+        surface.magnitude * (_OFFSET * side)
     )
 
 

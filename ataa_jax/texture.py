@@ -49,8 +49,35 @@ def sample(
     Returns:
         Linear colour, or codes / 255 where not sRGB.
     """
-    present = texture >= 0
-    safe = jnp.where(present, texture, 0)
+    channels = _sample(textures, texture, uv, uv_dx, uv_dy, mip_bias, (0, 8, 16), srgb)
+    return vector.select(texture >= 0, Vec3(*channels), 1.0)
+
+
+def sample_alpha(
+    textures: Textures,
+    texture: Int[Array, " n"],
+    uv: Uv,
+    uv_dx: Uv | None,
+    uv_dy: Uv | None,
+    mip_bias: Float[Array, ""] | float = 0.0,
+) -> Float[Array, " n"]:
+    """Samples the alpha channel, in [0, 1]; see `sample`. NO_TEXTURE reads as 1."""
+    (alpha,) = _sample(textures, texture, uv, uv_dx, uv_dy, mip_bias, (24,), False)
+    return jnp.where(texture >= 0, alpha, 1.0)
+
+
+def _sample(
+    textures: Textures,
+    texture: Int[Array, " n"],
+    uv: Uv,
+    uv_dx: Uv | None,
+    uv_dy: Uv | None,
+    mip_bias: Float[Array, ""] | float,
+    shifts: tuple[int, ...],
+    srgb: bool,
+) -> list[Float[Array, " n"]]:
+    """Samples the channels that start at some bits of a texel."""
+    safe = jnp.where(texture >= 0, texture, 0)
     repeat_u = textures.wrap_u[safe] == WRAP_REPEAT
     repeat_v = textures.wrap_v[safe] == WRAP_REPEAT
     wrapped = vector.materialize(
@@ -60,20 +87,20 @@ def sample(
         )
     )
 
-    def level(index: Int[Array, " n"]) -> Vec3:
-        return _bilinear(textures, safe, index, wrapped, repeat_u, repeat_v, srgb)
+    def level(index: Int[Array, " n"]) -> list[Float[Array, " n"]]:
+        return _bilinear(
+            textures, safe, index, wrapped, (repeat_u, repeat_v), shifts, srgb
+        )
 
     if uv_dx is None or uv_dy is None:
-        color = level(jnp.zeros_like(safe))
-    else:
-        detail = level_of_detail(textures, safe, uv_dx, uv_dy, mip_bias)
-        low = jnp.floor(detail)
-        fraction = detail - low
-        low, fraction = vector.materialize((low.astype(jnp.int32), fraction))
-        near = level(low)
-        far = level(jnp.minimum(low + 1, textures.level_offset.shape[1] - 1))
-        color = near + (far - near) * fraction
-    return vector.select(present, color, 1.0)
+        return level(jnp.zeros_like(safe))
+    detail = level_of_detail(textures, safe, uv_dx, uv_dy, mip_bias)
+    low = jnp.floor(detail)
+    fraction = detail - low
+    low, fraction = vector.materialize((low.astype(jnp.int32), fraction))
+    near = level(low)
+    far = level(jnp.minimum(low + 1, textures.level_offset.shape[1] - 1))
+    return [n + (f - n) * fraction for n, f in zip(near, far, strict=True)]
 
 
 def level_of_detail(
@@ -115,10 +142,10 @@ def _bilinear(
     texture: Int[Array, " n"],
     level: Int[Array, " n"],
     uv: Uv,
-    repeat_u: Bool[Array, " n"],
-    repeat_v: Bool[Array, " n"],
+    repeat: tuple[Bool[Array, " n"], Bool[Array, " n"]],
+    shifts: tuple[int, ...],
     srgb: bool,
-) -> Vec3:
+) -> list[Float[Array, " n"]]:
     """Filters four texels of one level; `uv` is already wrapped into [0, 1].
 
     Border rule: at the edge the neighbour wraps round under REPEAT and is clamped
@@ -133,8 +160,8 @@ def _bilinear(
             textures.level_offset,
         )
     )
-    x0, x1, fx = _neighbours(uv.u, width, repeat_u)
-    y0, y1, fy = _neighbours(uv.v, height, repeat_v)
+    x0, x1, fx = _neighbours(uv.u, width, repeat[0])
+    y0, y1, fy = _neighbours(uv.v, height, repeat[1])
     row0, row1 = base + y0 * width, base + y1 * width
     indices = (row0 + x0, row0 + x1, row1 + x0, row1 + x1)
     texels = vector.materialize(
@@ -148,7 +175,7 @@ def _bilinear(
         bottom = c10 + (c11 - c10) * fx
         return top + (bottom - top) * fy
 
-    return vector.materialize(Vec3(channel(0), channel(8), channel(16)))
+    return vector.materialize([channel(shift) for shift in shifts])
 
 
 def _decode(texel: UInt[Array, " n"], shift: int, srgb: bool) -> Float[Array, " n"]:

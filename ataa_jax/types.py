@@ -29,6 +29,11 @@ WHY_LUMINANCE = 8  # temporal change of luminance: this term alone passes
 WHY_DEPTH = 16  # Sobel of inverse depth: this term alone passes
 WHY_OVER_BUDGET = 32  # asked for rays, but the frame's ray budget was spent
 WHY_RESET = 64  # motion changed significantly: classification history was reset
+# Criteria beyond the paper's, off by default: this term alone passes.
+WHY_NORMAL = 128  # angle between normals in the 3×3
+WHY_OBJECT = 256  # edge between objects
+WHY_MATERIAL = 512  # edge between materials
+WHY_SPREAD = 1024  # luminance varies in the 3×3 as it did not in the history
 
 NO_TEXTURE = -1
 LIGHT_DIRECTIONAL = 0
@@ -60,6 +65,9 @@ class Materials(eqx.Module):
     normal_scale: Float[Array, " m"]
     alpha_cutoff: Float[Array, " m"]
     alpha_masked: Bool[Array, " m"]
+    blended: Bool[Array, " m"]  # something shows through: alpha below 1, transmission
+    transmission: Float[Array, " m"]  # KHR_materials_transmission's factor
+    mirror: Bool[Array, " m"]  # smooth enough, somewhere, for a reflection ray
     double_sided: Bool[Array, " m"]
     base_color_texture: Int[Array, " m"]
     metallic_roughness_texture: Int[Array, " m"]
@@ -94,6 +102,7 @@ class Lights(eqx.Module):
     range: Float[Array, " l"]  # scene units; inf: no cut-off
     cos_inner: Float[Array, " l"]  # spot cone; ignored for other kinds
     cos_outer: Float[Array, " l"]
+    casts: Bool[Array, " l"]  # shadows; False: the light passes through everything
 
 
 class Sky(eqx.Module):
@@ -132,6 +141,14 @@ class FrameInputs(eqx.Module):
     previous_world_from_group: Float[Array, "g 3 4"]
     jitter: Float[Array, " 2"]  # pixels from the pixel centre, x right, y down
     cut: Bool[Array, ""]  # True: nothing of the history may be used
+
+
+class Rays(eqx.Module):
+    """Secondary rays that shading cast."""
+
+    shadow: Int[Array, " l"]  # by light
+    reflection: Int[Array, ""]
+    layer: Int[Array, ""]  # on through transparent surfaces, to the eye or to a light
 
 
 class Hits(eqx.Module):
@@ -180,7 +197,7 @@ class Segmentation(eqx.Module):
     """The mask, and why."""
 
     mask: UInt[Array, "h w"]  # uint32: method low 16 bits, classification history high
-    why: UInt[Array, "h w"]  # uint8, WHY_* bits
+    why: UInt[Array, "h w"]  # uint16, WHY_* bits
     score: Float[Array, "h w"]  # in [0, 1]; the larger, the more it asks for rays
     luminance: Float[Array, "h w"]  # the temporal luminance term, in [0, 1]
     depth: Float[Array, "h w"]  # the Sobel term, in [0, 1]

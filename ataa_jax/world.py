@@ -1,7 +1,7 @@
 """A scene made ready to render: packed arrays, tracer, lights, cameras, exposure."""
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,8 +16,10 @@ from ataa_jax import (
     embree,
     gltf,
     lighting,
+    mesh_files,
     paths,
     raster,
+    shading,
     types,
 )
 from ataa_jax import camera as cameras
@@ -26,6 +28,8 @@ from ataa_jax.errors import InputError
 from ataa_jax.scene import CameraSource, LightSource, SceneSource
 
 BUILTIN = "builtin"
+# Height and width of the view from which light and exposure are measured.
+PREVIEW = (90, 160)
 
 # our choice: surfaces' largest channel, tone-mapped, has the mean 0.3, which sRGB shows
 # as 0.58. Unlike a mean of logarithms it is not led astray by black corners.
@@ -41,13 +45,23 @@ class World:
     """
 
     name: str
-    source: SceneSource
+    source: SceneSource  # without its images: `scene` holds them, filtered
     scene: types.Scene
     tracer: embree.Tracer
     cameras: list[CameraSource]  # at least one
     lights: list[LightSource]  # as supplied or authored, before exposure
     exposure: float
     notes: list[str]  # warnings of the reader, and what was supplied
+    rays: types.Rays  # secondary rays of a frame of PREVIEW pixels
+    looked: list[effects.Effect] = field(default_factory=list)  # what it calls for
+    wish: effects.Wish = field(default_factory=effects.Wish)  # what was asked for
+
+    @cached_property
+    def shading(self) -> shading.Config:
+        """What the frame program shades: what the scene calls for, or everything."""
+        if self.wish.everything:
+            return effects.everything()
+        return effects.required(self.scene)
 
     @cached_property
     def content_hash(self) -> str:
@@ -70,7 +84,10 @@ class World:
             if camera.name == name:
                 return camera
         known = ", ".join(camera.name for camera in self.cameras)
-        raise InputError(f"the scene has no camera '{name}'; it has: {known}")
+        raise InputError(
+            f"the scene has no camera '{name}'; it has: {known}. Camera paths are "
+            f"{', '.join(paths.NAMED_KINDS)}, or a .toml file"
+        )
 
     def focus(self, camera: CameraSource) -> float:
         """Returns the distance to what the middle of a camera's image shows."""
@@ -89,6 +106,27 @@ class Sequence:
     size: tuple[int, int]
     camera: CameraSource
     focus: float
+
+    @property
+    def camera_moves(self) -> bool:
+        """Whether the camera moves from frame to frame."""
+        path = self.path
+        return path.kind == "keyframes" or (path.kind != "still" and path.motion > 0)
+
+    @property
+    def objects_move(self) -> bool:
+        """Whether an animation plays."""
+        return self.world.source.duration > 0.0
+
+    @property
+    def effects(self) -> effects.Selection:
+        """The effects that this sequence calls for, or that were asked for."""
+        everything = self.world.wish.everything
+        return effects.Selection(
+            shading=self.world.shading,
+            camera_motion=everything or self.camera_moves,
+            object_motion=everything or self.objects_move,
+        )
 
     def pose(self, frame: int) -> paths.Pose:
         """Returns where the camera stands in a frame."""
@@ -119,6 +157,8 @@ def sequence(world: World, path: paths.CameraPath, size: tuple[int, int]) -> Seq
         InputError: the path names a camera that the scene lacks.
     """
     camera = world.camera(path.camera)
+    if not world.wish.keeps(effects.CAMERA_MOTION):
+        path = replace(path, kind="still", keyframes=())
     return Sequence(world, path, size, camera, world.focus(camera))
 
 
@@ -135,12 +175,16 @@ def shot(
         InputError: no such path or camera.
     """
     if isinstance(path, str):
-        path = paths.load(path, motion)
+        path = paths.load(path, motion, [camera.name for camera in world.cameras])
     return sequence(world, path, size)
 
 
 def load(
-    path: str | Path, *, camera: str | None = None, backend: str = "auto"
+    path: str | Path,
+    *,
+    camera: str | None = None,
+    backend: str = "auto",
+    wish: effects.Wish | None = None,
 ) -> World:
     """Loads a scene file, or the built-in scene by the name `builtin`.
 
@@ -149,6 +193,8 @@ def load(
         camera: the camera for which light and exposure are decided; the first by
             default.
         backend: Embree's entry points, see `embree.build`.
+        wish: effects asked for in place of those that the scene calls for; light and
+            exposure are decided with the latter.
 
     Returns:
         The world, with light, sky, camera and exposure supplied where it has none.
@@ -156,17 +202,26 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
+    return prepare(read(path), camera=camera, backend=backend, wish=wish)
+
+
+def read(path: str | Path) -> SceneSource:
+    """Reads a scene without making it ready to render; see `load`."""
+    if not str(path):
+        raise InputError("the scene's name is empty; give a file, or 'builtin'")
     if str(path) == BUILTIN:
-        source = builtin.garden_house()
-    elif Path(path).suffix.lower() in (".glb", ".gltf"):
-        source = gltf.load(path)
-    else:
-        source = scenes.load_mesh(path)
-    return prepare(source, camera=camera, backend=backend)
+        return builtin.garden_house()
+    if Path(path).suffix.lower() in (".glb", ".gltf"):
+        return gltf.load(path)
+    return mesh_files.load(path)
 
 
 def prepare(
-    source: SceneSource, *, camera: str | None = None, backend: str = "auto"
+    source: SceneSource,
+    *,
+    camera: str | None = None,
+    backend: str = "auto",
+    wish: effects.Wish | None = None,
 ) -> World:
     """Turns a scene description into a world; see `load`."""
     packed, notes = scenes.pack(source)
@@ -186,6 +241,7 @@ def prepare(
         lights=[],
         exposure=1.0,
         notes=notes,
+        rays=shading.no_rays(packed.lights),
     )
     chosen = world.camera(camera)
     points = lighting.look(tracer, packed, transforms, chosen)
@@ -198,16 +254,43 @@ def prepare(
     packed = replace_lights(
         packed, scenes.pack_lights(lights), scenes.pack_sky(sky, visibility)
     )
-    bounce, exposure = _bounce_and_exposure(
+    bounce, exposure, rays = _bounce_and_exposure(
         packed, tracer, transforms, chosen, visibility
     )
     packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
-    return replace(
+    world = replace(
         world,
+        source=replace(source, textures=[]),
         scene=_exposed(packed, exposure),
         lights=lights,
         exposure=exposure,
         notes=[*notes, *supplied],
+        rays=rays,
+        looked=[
+            *effects.look(packed),
+            *effects.look_at_motion(source.duration > 0.0),
+        ],
+    )
+    return world if wish is None else wished(world, wish, backend=backend)
+
+
+def wished(world: World, wish: effects.Wish, *, backend: str = "auto") -> World:
+    """Returns the world with other effects than those that it calls for."""
+    refused = effects.refusals(wish, world.looked)
+    scene, tracer = effects.without(world.scene, wish), world.tracer
+    source = world.source
+    if not (wish.keeps("alpha-mask") and wish.keeps("transparency")):
+        tracer = embree.build(scene, backend=backend)
+    if not wish.keeps(effects.OBJECT_MOTION):
+        pose = source.transforms(0.0)
+        source = replace(source, transforms=lambda time: pose, duration=0.0)
+    return replace(
+        world,
+        scene=scene,
+        tracer=tracer,
+        source=source,
+        wish=wish,
+        notes=[*world.notes, *refused],
     )
 
 
@@ -247,16 +330,20 @@ def _bounce_and_exposure(
     transforms: np.ndarray,
     camera: CameraSource,
     visibility: float,
-) -> tuple[np.ndarray, float]:
-    """Measures the surroundings' mean radiance, then exposes, on a 160×90 view."""
-    color, hit = _preview(packed, tracer, transforms, camera)
+) -> tuple[np.ndarray, float, types.Rays]:
+    """Measures the surroundings' mean radiance, then exposes, on a small view.
+
+    Returns:
+        The mean radiance, the exposure, and the view's secondary rays.
+    """
+    color, hit, _ = _preview(packed, tracer, transforms, camera)
     seen = color[hit] if hit.any() else color.reshape(-1, 3)
     bounce = (1.0 - visibility) * seen.mean(axis=0) if hit.any() else np.zeros(3)
     bounce = bounce.astype(np.float32)
     lit = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
-    color, hit = _preview(lit, tracer, transforms, camera)
+    color, hit, rays = _preview(lit, tracer, transforms, camera)
     seen = color[hit] if hit.any() else color.reshape(-1, 3)
-    return bounce, _auto_exposure(seen.max(axis=1))
+    return bounce, _auto_exposure(seen.max(axis=1)), rays
 
 
 def _preview(
@@ -264,8 +351,8 @@ def _preview(
     tracer: embree.Tracer,
     transforms: np.ndarray,
     camera: CameraSource,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Draws 160×90 pixels; returns linear colour and where a surface is."""
+) -> tuple[np.ndarray, np.ndarray, types.Rays]:
+    """Draws a small view: linear colour, where a surface is, and secondary rays."""
     view = cameras.make(camera.world_from_view, camera.fov_y)
     groups = jnp.asarray(transforms, jnp.float32)
     inputs = types.FrameInputs(
@@ -276,11 +363,12 @@ def _preview(
         jitter=jnp.zeros(2, jnp.float32),
         cut=jnp.asarray(True),
     )
-    config = raster.Config(size=(90, 160), shading=effects.required(packed))
+    config = raster.Config(size=PREVIEW, shading=effects.required(packed))
     out = raster.raster(
         packed, inputs, raster.default_params(), tracer=tracer, config=config
     )
-    return np.asarray(out.color, np.float64), np.isfinite(np.asarray(out.gbuffer.depth))
+    hit = np.isfinite(np.asarray(out.gbuffer.depth))
+    return np.asarray(out.color, np.float64), hit, out.rays
 
 
 def _auto_exposure(peak: np.ndarray) -> float:

@@ -51,7 +51,7 @@ def comparison(
         edge = np.abs(np.diff(truth.mean(-1), axis=1, prepend=0.5)) > 0.08
         mask = np.where(edge, 2, 1).astype(np.uint8)
         mask[:, -max(size[1] // 32, 1) :] = 0
-        why = np.where(edge, 8 + 16 * (random.random(size) < 0.5), 0).astype(np.uint8)
+        why = np.where(edge, 8 + 16 * (random.random(size) < 0.5), 0).astype(np.uint16)
         why[mask == 0] = 1
         for name, samples in SAMPLES.items():
             image = draw(size, frame, samples).astype(np.float32)

@@ -118,6 +118,7 @@ def test_keyframes_pass_through_their_positions(tmp_path):
         ("speed = 2", "unknown key"),
         ("kind = ", "not valid TOML"),
         ("fps = true", "fps"),
+        ("[[keyframe]]\nframe = 0", "kind 'walk' reads none"),
     ],
 )
 def test_a_bad_path_file_is_one_clear_sentence(tmp_path, text, message):
@@ -128,12 +129,48 @@ def test_a_bad_path_file_is_one_clear_sentence(tmp_path, text, message):
     assert "\n" not in str(error.value).split("not valid TOML")[0]
 
 
+def test_a_key_that_no_keyframe_has_is_refused_by_name(tmp_path):
+    file = tmp_path / "path.toml"
+    key = "position = [0, 0, 5]\ntarget = [0, 0, 0]\n"
+    file.write_text(
+        f'kind = "keyframes"\n[[keyframe]]\nframe = 0\n{key}'
+        f"[[keyframe]]\nframe = 9\n{key}fov = 30\n"
+    )
+    message = "keyframe 1 has the unknown key 'fov'; known are fov_y_degrees, frame, "
+    with pytest.raises(InputError, match=message):
+        paths.load(str(file))
+
+
+@pytest.mark.parametrize("motion", [-1.0, "-1", "nan", "1.5", "fast"])
+def test_a_bad_motion_is_told_by_its_option_value_and_range(motion):
+    with pytest.raises(InputError) as caught:
+        paths.load("walk", motion)
+    assert str(caught.value).startswith("--motion must be typical, rapid or a share")
+    assert f"from 0 to 1, not {motion!r}" in str(caught.value)
+
+
+def test_the_exact_name_of_a_camera_comes_before_kinds_of_paths():
+    cameras = ["orbit", "deck:pan", "a:b"]
+
+    def reading(text: str) -> tuple[str | None, str]:
+        path = paths.load(text, cameras=cameras)
+        return path.camera, path.kind
+
+    assert reading("orbit") == ("orbit", "walk")
+    assert reading("orbit:orbit") == ("orbit", "orbit")
+    assert reading("deck:pan") == ("deck:pan", "walk")
+    assert reading("deck:pan:still") == ("deck:pan", "still")
+    assert reading("a:b") == ("a:b", "walk")
+    assert reading("a:b:dolly") == ("a:b", "dolly")
+    assert reading("pan") == (None, "pan")
+    assert reading(":pan") == (None, "pan")
+
+
 def test_names_of_paths_and_cameras_are_told_apart():
     assert paths.load("orbit").kind == "orbit"
     assert paths.load("boat").camera == "boat"
     both = paths.load("boat:pan", "rapid")
     assert (both.camera, both.kind, both.motion) == ("boat", "pan", 0.1)
-    with pytest.raises(InputError, match="no kind of camera path"):
-        paths.load("boat:fly")
-    with pytest.raises(InputError, match="neither"):
-        paths.load("pan", "fast")
+    # No kind of path: a camera, which the scene then turns out to have or not.
+    for text in ("boat:fly", "boat:keyframes", "keyframes"):
+        assert (paths.load(text).camera, paths.load(text).kind) == (text, "walk")

@@ -13,6 +13,7 @@ from PIL import Image
 
 from ataa_jax import cli, paths, world
 from ataa_jax.compare import METHODS
+from tests.gltf_writer import triangle_scene
 
 DATA = Path(__file__).parents[1] / "data"
 OBJ = """\
@@ -44,10 +45,18 @@ def cache(tmp_path_factory, monkeypatch):
 
 @pytest.fixture(autouse=True, scope="module")
 def one_world():
-    # Every load builds a tracer of its own, for which all stages compile anew.
-    load = world.load
+    # Every world has a tracer of its own, for which all stages compile anew.
+    prepare, kept = world.prepare, {}
+
+    def kept_world(source, *, camera=None, backend="auto"):
+        key = (id(source), camera, backend)  # `read` keeps its sources
+        if key not in kept:
+            kept[key] = prepare(source, camera=camera, backend=backend)
+        return kept[key]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world, "load", functools.cache(load))
+        patch.setattr(world, "read", functools.cache(world.read))
+        patch.setattr(world, "prepare", kept_world)
         yield
 
 
@@ -115,9 +124,14 @@ def test_run_keeps_times_apart(film):
     assert {"raster", "taa", "raytrace"} <= stages
 
 
-def test_run_twice_writes_the_same_bytes_except_times(film, scene, tmp_path):
+def test_run_twice_writes_the_same_bytes_except_times(film, scene, tmp_path, capsys):
     out = tmp_path / "again"
     assert ataa("run", scene, *TINY, "--exr", "--out", out) == 0
+    told = capsys.readouterr().out.splitlines()[-1]
+    assert told == (
+        f"Wrote {out}: frames/, mask/, why/, exr/, video.mp4, statistics.csv, "
+        "timings.csv"
+    )
     different = {
         name
         for name in names(film)
@@ -127,13 +141,15 @@ def test_run_twice_writes_the_same_bytes_except_times(film, scene, tmp_path):
 
 
 @pytest.mark.parametrize("method", ["none", "fxaa", "ssaa2", "taa"])
-def test_run_takes_every_kind_of_method(scene, tmp_path, method):
+def test_run_takes_every_kind_of_method(scene, tmp_path, capsys, method):
     out = tmp_path / "out"
     arguments = ("--size", "32x18", "--frames", "1", "--method", method)
     assert ataa("run", scene, *arguments, "--out", out) == 0
     with Image.open(out / "frames/0000.png") as image:
         assert image.size == (32, 18)
     assert not (out / "mask").exists()
+    told = capsys.readouterr().out.splitlines()[-1]
+    assert told == f"Wrote {out}: frames/, video.mp4, statistics.csv, timings.csv"
 
 
 def test_run_reads_parameters(scene, tmp_path):
@@ -174,6 +190,51 @@ def test_info_tells_what_is_there_and_why(scene, capsys):
         assert word in out
 
 
+def test_info_shows_names_with_brackets_as_they_are(tmp_path, capsys):
+    writer = triangle_scene()
+    lens = writer.add("cameras", type="perspective", perspective={"yfov": 1})
+    for name in ("[red]", "[/b]"):
+        writer.node(camera=lens, name=name, translation=[0, 0, 5])
+    assert ataa("info", writer.glb(tmp_path / "[bold].glb")) == 0
+    out = capsys.readouterr().out
+    for name in ("[bold]", "[red]", "[/b]"):
+        assert name in out
+
+
+def test_a_run_starts_at_the_camera_that_has_the_exact_name(tmp_path):
+    writer = triangle_scene()
+    lens = writer.add("cameras", type="perspective", perspective={"yfov": 1})
+    writer.node(camera=lens, name="main", translation=[0, 0, 2])
+    writer.node(camera=lens, name="orbit", translation=[0, 0, 40])
+    file = writer.glb(tmp_path / "a.glb")
+    shown = {}
+    for camera in ("main", "orbit", "orbit:still", "main:still"):
+        out = tmp_path / camera.replace(":", "-")
+        arguments = ("--method", "none", "--size", "32x18", "--frames", 1)
+        assert ataa("run", file, *arguments, "--camera", camera, "--out", out) == 0
+        shown[camera] = (out / "frames/0000.png").read_bytes()
+    assert shown["orbit"] == shown["orbit:still"]  # frame 0 of a walk is its start
+    assert shown["main"] == shown["main:still"] != shown["orbit"]
+
+
+def test_info_counts_instances_of_shared_meshes(tmp_path, capsys):
+    writer = triangle_scene()
+    writer.node(mesh=writer.mesh())
+    assert ataa("info", writer.glb(tmp_path / "two.glb")) == 0
+    assert "instances" not in capsys.readouterr().out
+    writer.node(mesh=0, translation=[2, 0, 0])
+    assert ataa("info", writer.glb(tmp_path / "three.glb")) == 0
+    assert "3, instances of 2 meshes" in capsys.readouterr().out
+
+
+def test_info_passes_on_what_the_reader_missed(tmp_path, capsys):
+    file = tmp_path / "tile.obj"
+    file.write_text(f"mtllib gone.mtl\n{OBJ}")
+    assert ataa("info", file) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "the file gone.mtl, which the scene names, does not exist: left out" in out
+
+
 # ---- refusals
 
 
@@ -192,8 +253,15 @@ def test_info_tells_what_is_there_and_why(scene, capsys):
         (("run", "SCENE", "--preset", "ue5"), "unknown preset 'ue5'"),
         (("run", "SCENE", "--budget", "-1"), "--budget must be at least 0"),
         (("run", "SCENE", "--budget", "nan"), "--budget must be at least 0"),
-        (("run", "SCENE", "--motion", "fast"), "motion 'fast'"),
+        (("run", "SCENE", "--motion", "fast"), "--motion must be typical, rapid or"),
+        (("run", "SCENE", "--motion", "-1"), "from 0 to 1, not '-1'"),
         (("run", "SCENE", "--camera", "north"), "no camera 'north'"),
+        (("run", "SCENE", "--camera", "north:fly"), "are still, pan, orbit, dolly"),
+        (("bench", "SCENE", "--camera", "north:pan"), "no camera 'north'"),
+        (("run", ""), "the scene's name is empty"),
+        (("run", "SCENE", "--method", "taa,fxaa"), "takes one method, not 'taa,fxaa'"),
+        (("run", "FOLDER"), "is a folder; give the path of a file"),
+        (("run", "SCENE", "--out", "SCENE"), "is a file; give a new or empty folder"),
         (("run", "SCENE", "--camera", "none.toml"), "none.toml cannot be read"),
         (("run", "SCENE", "--params", "none.toml"), "none.toml cannot be read"),
         (("run", "none.obj"), "none.obj"),
@@ -211,7 +279,8 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     scene, tmp_path, monkeypatch, capsys, arguments, message
 ):
     monkeypatch.chdir(tmp_path)
-    given = [str(scene) if word == "SCENE" else word for word in arguments]
+    places = {"SCENE": str(scene), "FOLDER": str(scene.parent)}
+    given = [places.get(word, word) for word in arguments]
     assert ataa(*given) == 2
     captured = capsys.readouterr()
     assert captured.err.startswith("error: ")
@@ -224,7 +293,8 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
 def test_an_unwritable_output_is_refused_before_the_scene_is_read(tmp_path, capsys):
     (tmp_path / "file").write_text("x")
     assert ataa("run", "none.glb", "--out", tmp_path / "file" / "out") == 2
-    assert "cannot be written" in capsys.readouterr().err
+    message = f"cannot be written, for {tmp_path / 'file'} is a file"
+    assert message in capsys.readouterr().err
 
 
 def test_traceback_shows_where_an_error_came_from(capsys):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ataa_jax import color, effects, embree, raster, raytrace, sampling
-from tests import frames, tiny
+from tests import frames, furnished, tiny
+from tests.oracles import raster as oracle
 
 SIZE = (20, 36)
 
@@ -106,3 +107,35 @@ def test_jit_equals_eager(scene, tracer):
     with jax.disable_jit():
         eager = trace(scene, tracer, traced, chunk=8)
     np.testing.assert_allclose(jitted.color, eager.color, rtol=1e-4, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def yard():
+    shot = furnished.yard()
+    return shot, embree.build(shot.scene)
+
+
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_traced_pixels_equal_the_brute_force_oracle(yard, samples):
+    shot, tracer = yard
+    size = (8, 11)
+    traced = np.random.default_rng(3).random(size) < 0.8
+    found = raytrace.raytrace(
+        shot.scene,
+        shot.inputs,  # their jitter must not matter
+        jnp.asarray(traced),
+        tracer=tracer,
+        config=raytrace.Config(
+            samples=samples, chunk=32, shading=effects.required(shot.scene)
+        ),
+    )
+    color, shadow_rays, near = oracle.traced(shot.scene, shot.inputs, size, samples)
+    sure = traced & ~near
+    # The strips within rounding's reach of an edge or a shadow's border are a
+    # hundredth of a pixel wide at most; eight rays meet them more often than one.
+    assert np.sum(near) <= 0.05 * near.size
+    # As for the raster stage: highlights and noise of 1 a texel, in float32.
+    np.testing.assert_allclose(found.color[sure], color[sure], rtol=3e-4, atol=2e-5)
+    np.testing.assert_array_equal(np.asarray(found.color)[~traced], 0.0)
+    slack = 3 * samples * int(np.sum(traced & near))
+    assert abs(int(found.shadow_rays) - shadow_rays[traced].sum()) <= slack

@@ -9,12 +9,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ataa_jax import files, parameters, pipeline, raster, resolve, segmentation, taa
+from ataa_jax import (
+    files,
+    parameters,
+    pipeline,
+    raster,
+    resolve,
+    segmentation,
+    taa,
+    types,
+)
 from ataa_jax import fxaa as fxaa_stage
 from ataa_jax import report as reports
 from ataa_jax.compare import REFERENCE, Comparison
 from ataa_jax.errors import InputError
-from ataa_jax.report import crops, page, plots, strips, tables
+from ataa_jax.report import crops, page, palette, plots, strips, tables
 from tests.comparisons import comparison
 
 
@@ -99,6 +108,27 @@ def test_why_overlay_leaves_pixels_without_reason_grey():
     overlay = reports.why_overlay(image, np.array([[0, 8]], np.uint8))
     assert len(set(overlay[0, 0].tolist())) == 1
     assert len(set(overlay[0, 1].tolist())) > 1
+
+
+def test_the_page_names_a_reason_beyond_the_papers_only_where_it_is_seen():
+    result = comparison()
+    assert "objects" not in {r.name for r in page._reasons(result)}
+    result.whys["ataa8"][0][0, 0] |= types.WHY_OBJECT
+    assert "objects" in {r.name for r in page._reasons(result)}
+    packed = page._map(result.masks["ataa8"][0], result.whys["ataa8"][0]).astype(int)
+    np.testing.assert_array_equal(
+        packed[..., 1] | packed[..., 2] << 8, result.whys["ataa8"][0]
+    )
+
+
+def test_why_overlay_colours_every_reason_by_itself():
+    bits = np.array([[r.bits for r in palette.REASONS]], np.uint16)
+    image = np.zeros((1, bits.size, 3), np.uint8)
+    overlay = reports.why_overlay(image, bits)[0]
+    for shown, reason in zip(overlay, palette.REASONS, strict=True):
+        np.testing.assert_array_equal(
+            shown, np.round(np.multiply(reason.color, reason.alpha))
+        )
 
 
 def test_crops_lie_apart_inside_the_image_at_the_greatest_error():

@@ -33,7 +33,7 @@ def frame(size, seed=0):
     )
     segmented = types.Segmentation(
         mask=jnp.asarray(method | (counter << 16), jnp.uint32),
-        why=jnp.zeros(size, jnp.uint8),
+        why=jnp.zeros(size, jnp.uint16),
         score=image(),
         luminance=image(),
         depth=image(),

@@ -1,13 +1,11 @@
-"""Packing of scenes (triangles, pyramids, ids, bounds), and meshes beside glTF."""
+"""Packing of scenes: triangles, pyramids, ids, bounds."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
-from PIL import Image
 
-from ataa_jax import scene, types
+from ataa_jax import scene
 from ataa_jax.errors import InputError
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
@@ -157,11 +155,46 @@ def test_a_texture_that_is_not_there_is_refused():
         scene.pack(lone(finish=scene.MaterialSource(base_color_texture=4)))
 
 
-def test_blended_materials_are_masked_at_one_half():
-    material = scene.MaterialSource(alpha_mode="BLEND", alpha_cutoff=0.9)
+HALF = (1.0, 1.0, 1.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("material", "blended"),
+    [
+        (scene.MaterialSource(alpha_mode="BLEND"), False),  # opaque everywhere
+        (
+            scene.MaterialSource(alpha_mode="BLEND", base_color=(1.0, 1.0, 1.0, 0.5)),
+            True,
+        ),
+        (
+            scene.MaterialSource(alpha_mode="MASK", base_color=(1.0, 1.0, 1.0, 0.5)),
+            False,
+        ),
+        (
+            scene.MaterialSource(base_color=(1.0, 1.0, 1.0, 0.5)),
+            False,
+        ),  # alpha is not read
+        (scene.MaterialSource(transmission=0.3), True),
+    ],
+)
+def test_a_material_is_blended_where_something_shows_through(material, blended):
     packed = scene.pack(lone(finish=material))[0].materials
-    assert bool(packed.alpha_masked[0])
-    assert float(packed.alpha_cutoff[0]) == 0.5
+    assert bool(packed.blended[0]) == blended
+    assert bool(packed.alpha_masked[0]) == (material.alpha_mode == "MASK")
+
+
+@pytest.mark.parametrize(
+    ("material", "mirror"),
+    [
+        (scene.MaterialSource(roughness=0.0), True),
+        (scene.MaterialSource(roughness=0.079), True),
+        (scene.MaterialSource(roughness=0.08), False),
+        (scene.MaterialSource(roughness=0.0, alpha_mode="MASK"), False),
+    ],
+)
+def test_a_smooth_material_is_a_mirror(material, mirror):
+    packed = scene.pack(lone(finish=material))[0].materials
+    assert bool(packed.mirror[0]) == mirror
 
 
 def test_a_scene_may_have_no_lights():
@@ -189,87 +222,3 @@ def test_bounds_follow_the_moving_groups():
     )
     low, high = scene.bounds(source, 0.5)
     np.testing.assert_array_equal([low, high], [[0, 0, 0], [6, 1, 0]])
-
-
-# --- meshes beside glTF --------------------------------------------------------------
-
-
-def write_obj(folder, texture: str = "") -> Any:
-    Image.fromarray(np.full((2, 2, 3), (0, 255, 0), np.uint8)).save(folder / "t.png")
-    (folder / "a.mtl").write_text(f"newmtl paint\nKd 0.5 0.25 1\n{texture}\n")
-    (folder / "a.obj").write_text(
-        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
-        "usemtl paint\nf 1/1 2/2 3/3\n"
-    )
-    return folder / "a.obj"
-
-
-def test_the_diffuse_colour_of_an_mtl_is_linear(tmp_path):
-    (material,) = scene.load_mesh(write_obj(tmp_path)).materials
-    # trimesh keeps Kd as 8-bit codes.
-    np.testing.assert_allclose(material.base_color, [0.5, 0.25, 1, 1], atol=0.5 / 255)
-    assert material.metallic == 0.0
-    assert material.base_color_texture == types.NO_TEXTURE
-
-
-def test_an_obj_texture_is_read_with_v_turned_down(tmp_path):
-    source = scene.load_mesh(write_obj(tmp_path, "map_Kd t.png"))
-    mesh = source.meshes[0]
-    assert source.textures[0].texels[0, 0].tolist() == [0, 255, 0, 255]
-    assert mesh.uv is not None
-    np.testing.assert_allclose(mesh.uv[:, 1], 1.0 - mesh.position[:, 1])
-
-
-def test_a_file_without_normals_keeps_its_facets(tmp_path):
-    trimesh.creation.box().export(tmp_path / "box.stl")
-    geometry = scene.pack(scene.load_mesh(tmp_path / "box.stl"))[0].geometry
-    assert np.abs(np.asarray(geometry.normal)).max(axis=-1).min() == 1.0
-
-
-def test_normals_in_a_file_are_kept(tmp_path):
-    (tmp_path / "a.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0.6 0.8\nf 1//1 2//1 3//1\n"
-    )
-    normal = scene.load_mesh(tmp_path / "a.obj").meshes[0].normal
-    assert normal is not None
-    np.testing.assert_allclose(normal, [[0, 0.6, 0.8]] * 3, atol=1e-6)
-
-
-def test_vertex_colours_are_averaged_with_a_warning(tmp_path):
-    box = trimesh.creation.box()
-    red = np.tile([255, 0, 0, 255], (8, 1)).astype(np.uint8)
-    box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=red)
-    box.export(tmp_path / "box.ply")
-    source = scene.load_mesh(tmp_path / "box.ply")
-    assert source.materials[0].base_color == (1.0, 0.0, 0.0, 1.0)
-    assert len(source.warnings) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "data"),
-    [
-        ("a.obj", b"hello"),
-        ("a.obj", b"v 0 0 0\nf 1 2 9\n"),
-        ("a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
-        ("a.obj", b"\xff\xfe\x00"),
-        ("a.stl", b"xx"),
-        ("a.ply", b""),
-        ("a.ply", b"ply\nbad"),
-        ("a.off", b"OFF\n3 1 0\n0 0 0\n"),
-        ("a.xyz", b"0 0 0\n1 1 1\n"),  # points, no triangles
-        ("a.zip", b"PK"),
-        ("a.unknown", b"x"),
-    ],
-)
-def test_malformed_meshes_are_refused_in_one_sentence(tmp_path, name, data):
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(InputError) as caught:
-        scene.load_mesh(tmp_path / name)
-    assert name in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_missing_meshes_and_folders_are_refused(tmp_path):
-    for path in (tmp_path, tmp_path / "none.obj"):
-        with pytest.raises(InputError, match="does not exist"):
-            scene.load_mesh(path)

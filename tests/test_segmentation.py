@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ataa_jax import compact, segmentation, types
+from ataa_jax import compact, segmentation, terms, types
 from tests.oracles import segmentation as oracle
 
 CONFIG = segmentation.Config()
@@ -62,6 +62,22 @@ def random_frame(size, seed):
     gbuffer = eqx.tree_at(
         lambda g: g.motion_valid, gbuffer, jnp.asarray(rng.random(size) < 0.9)
     )
+    normal = rng.normal(size=(*size, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    # Few normals and ids, so that some neighbourhoods hold one alone; sky has none.
+    kind = np.repeat(rng.integers(0, 3, size[0])[:, None], size[1], axis=1)
+    normal = np.where((kind > 0)[..., None], normal[0, 0], normal)
+    normal[np.isinf(depth)] = 0.0
+    ids = np.where(np.isinf(depth), -1, kind)
+    gbuffer = eqx.tree_at(
+        lambda g: (g.normal, g.object, g.material),
+        gbuffer,
+        (
+            jnp.asarray(normal, jnp.float32),
+            jnp.asarray(ids, jnp.int32),
+            jnp.asarray(np.minimum(ids, 1), jnp.int32),
+        ),
+    )
     reprojected = color * rng.uniform(0.5, 1.5, (*size, 1))
     return (
         state,
@@ -86,6 +102,18 @@ CONFIGS = {
     "no motion test": segmentation.Config(use_disocclusion=False),
     "no history": segmentation.Config(use_history=False, use_luminance=False),
     "no depth": segmentation.Config(use_depth=False),
+    "normals": segmentation.Config(use_normal=True),
+    "objects": segmentation.Config(use_object=True),
+    "materials": segmentation.Config(use_material=True, use_depth=False),
+    "spread": segmentation.Config(use_spread=True),
+    "all, either": segmentation.Config(
+        reading="either",
+        use_normal=True,
+        use_object=True,
+        use_material=True,
+        use_spread=True,
+    ),
+    "nothing": segmentation.Config(use_luminance=False, use_depth=False),
 }
 
 
@@ -93,7 +121,16 @@ CONFIGS = {
 @pytest.mark.parametrize("name", CONFIGS)
 def test_every_choice_agrees_with_the_oracle(name, size):
     params = segmentation.default_params(
-        threshold=0.12, disocclusion_px=0.5, reset_px=0.7, hold=5, depth_weight=2.0
+        threshold=0.12,
+        disocclusion_px=0.5,
+        reset_px=0.7,
+        hold=5,
+        depth_weight=2.0,
+        normal_weight=0.7,
+        object_weight=0.4,
+        material_weight=0.3,
+        spread_weight=3.0,
+        normal_threshold=0.2,
     )
     inputs = random_frame(size, seed=len(name))
     out = segmentation.segmentation(*inputs, params, config=CONFIGS[name])
@@ -252,13 +289,91 @@ def test_a_planes_depth_term_is_its_constant_gradient():
     np.testing.assert_allclose(out.depth[2, 1:-1], expected, atol=3e-7)
 
 
+def test_optional_criteria_by_hand():
+    # Two walls that meet at a right angle between columns 3 and 4, one depth, one grey.
+    state, grey, gbuffer, _ = frame((3, 8))
+    right = np.arange(8) >= 4
+    normal = np.where(right[:, None], (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    gbuffer = eqx.tree_at(
+        lambda g: (g.normal, g.object, g.material),
+        gbuffer,
+        (
+            jnp.asarray(np.broadcast_to(normal, (3, 8, 3)), jnp.float32),
+            jnp.asarray(np.broadcast_to(right, (3, 8)), jnp.int32),
+            jnp.asarray(np.broadcast_to(np.arange(8) >= 6, (3, 8)), jnp.int32),
+        ),
+    )
+    # This frame's samples alternate about the history's grey: the 3×3 means agree to a
+    # ninth of the difference, which alone stays under the threshold.
+    sign = (-1.0) ** np.add.outer(np.arange(3), np.arange(8))
+    noisy = grey * jnp.asarray(1.0 + 0.2 * sign[..., None], jnp.float32)
+    edge = [0, 0, 0, 1, 1, 0, 0, 0]
+    for name, bit, color, expected in (
+        ("normal", types.WHY_NORMAL, grey, edge),
+        ("object", types.WHY_OBJECT, grey, edge),
+        ("material", types.WHY_MATERIAL, grey, [0, 0, 0, 0, 0, 1, 1, 0]),
+        ("spread", types.WHY_SPREAD, noisy, [1] * 8),
+    ):
+        inputs = (state, color, gbuffer, grey)
+        method, _, _ = run(inputs, threshold=0.03)
+        assert np.all(method == types.METHOD_TAA)
+        # Weighted so heavily that the other terms do not thin it out.
+        config = replace(CONFIG, **{f"use_{name}": True})
+        weight = {f"{name}_weight": 100.0}
+        method, _, out = run(inputs, config, threshold=0.03, **weight)
+        np.testing.assert_array_equal(method[1] == types.METHOD_ATAA, expected)
+        np.testing.assert_array_equal(out.why[1], np.multiply(expected, bit))
+
+
+def test_the_normal_term_is_the_angle_over_pi():
+    angle = np.radians([0.0, 0.01, 0.01, 90.01, 0.0, 0.0])
+    normal = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
+    normal[5] = 0.0  # sky
+    term = terms.normal_edge(jnp.asarray(normal[None], jnp.float32))
+    expected = np.array([[0.01, 0.01, 90.0, 90.01, 90.01, 0.0]]) / 180.0
+    # A float32 component near 1 is rounded to 6e-8, which at 0.01° is that / π.
+    np.testing.assert_allclose(term, expected, atol=4e-8, rtol=1e-6)
+
+
+def test_criteria_that_are_off_are_not_in_the_program():
+    inputs = random_frame((5, 6), seed=3)
+    params = segmentation.default_params()
+
+    def program(config):
+        def stage(state, color, gbuffer, then):
+            return segmentation.segmentation(
+                state, color, gbuffer, then, params, config=config
+            )
+
+        return str(jax.make_jaxpr(stage)(*inputs))
+
+    # Of all terms only that of normals takes an arc sine.
+    assert "asin" not in program(CONFIG)
+    assert "asin" in program(replace(CONFIG, use_normal=True))
+    results = []
+    for ids in (0, 7):
+        state, color, gbuffer, then = inputs
+        gbuffer = eqx.tree_at(
+            lambda g: (g.normal, g.object, g.material),
+            gbuffer,
+            (gbuffer.normal * ids, gbuffer.object * ids, gbuffer.material * ids),
+        )
+        results.append(
+            segmentation.segmentation(
+                state, color, gbuffer, then, params, config=CONFIG
+            )
+        )
+    jax.tree.map(np.testing.assert_array_equal, *results)
+
+
 def test_bad_radiance_leaves_the_terms_finite():
     state, color, gbuffer, then = frame((4, 5))
     color = color.at[1, 1].set(jnp.nan).at[2, 2].set(jnp.inf).at[3, 3].set(-1.0)
     depth = gbuffer.depth.at[0, 0].set(jnp.nan).at[1, 0].set(0.0).at[2, 0].set(-1.0)
     gbuffer = eqx.tree_at(lambda g: g.depth, gbuffer, depth)
-    _, _, out = run((state, color, gbuffer, then))
-    assert np.all(np.isfinite(out.score))
+    for config in (CONFIG, CONFIGS["all, either"]):
+        _, _, out = run((state, color, gbuffer, then), config)
+        assert np.all(np.isfinite(out.score))
 
 
 @settings(max_examples=30)
@@ -277,7 +392,7 @@ def test_the_budget_goes_to_the_highest_scores_then_to_the_first_pixels(
     zeros = jnp.zeros(size, jnp.float32)
     wanted = types.Segmentation(
         mask=jnp.asarray(method | (3 << 16), jnp.uint32),
-        why=jnp.zeros(size, jnp.uint8),
+        why=jnp.zeros(size, jnp.uint16),
         score=jnp.asarray(score),
         luminance=zeros,
         depth=zeros,

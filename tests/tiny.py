@@ -25,6 +25,9 @@ class Material:
     roughness: float = 1.0
     emissive: tuple[float, float, float] = (0.0, 0.0, 0.0)
     alpha_masked: bool = False
+    blended: bool = False
+    transmission: float = 0.0
+    mirror: bool = False
     alpha_cutoff: float = 0.5
     double_sided: bool = True
     texture: int = types.NO_TEXTURE  # base colour
@@ -196,6 +199,9 @@ def _materials(materials: list[Material]) -> types.Materials:
         normal_scale=jnp.ones(len(materials), jnp.float32),
         alpha_cutoff=floats("alpha_cutoff"),
         alpha_masked=jnp.asarray([m.alpha_masked for m in materials]),
+        blended=jnp.asarray([m.blended for m in materials]),
+        transmission=jnp.asarray([m.transmission for m in materials], jnp.float32),
+        mirror=jnp.asarray([m.mirror for m in materials]),
         double_sided=jnp.asarray([m.double_sided for m in materials]),
         base_color_texture=_ints(np.array([m.texture for m in materials])),
         metallic_roughness_texture=none,
@@ -236,4 +242,5 @@ def _lights(lights: list[Light]) -> types.Lights:
         range=floats("range"),
         cos_inner=floats("cos_inner"),
         cos_outer=floats("cos_outer"),
+        casts=jnp.ones((len(lights),), jnp.bool_),
     )

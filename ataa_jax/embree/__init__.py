@@ -6,7 +6,8 @@ tracer's ``*_numpy`` methods do the same for host code.
 
 A hit lies strictly beyond the ray's origin and, for `occluded`, strictly before its
 distance. Both sides of a triangle are hit; shading turns the normal. A masked
-material is hit where its mask is solid (`masks` states the rule). A ray that is not
+material is hit where its mask is solid (`masks` states the rule). Surfaces that
+something shows through are not hit: `Tracer.clear` holds them. A ray that is not
 finite, or has no direction, misses.
 
 Two ways lead to Embree, with the same hits: 16 rays at a time through its C interface
@@ -68,13 +69,20 @@ class Tracer:
     Attributes:
         group_count: Rigid groups it knows; `world_from_group` has at least as many.
         backend: ``packet`` or ``run``.
+        clear: Traces the surfaces that something shows through, which this tracer
+            does not have; None where the scene has none.
     """
 
     def __init__(
-        self, backend: str, group_count: int, way: PacketBackend | RunBackend
+        self,
+        backend: str,
+        group_count: int,
+        way: PacketBackend | RunBackend,
+        clear: "Tracer | None" = None,
     ) -> None:
         self.backend = backend
         self.group_count = group_count
+        self.clear = clear
         self._way = way
 
     def __repr__(self) -> str:
@@ -162,13 +170,18 @@ def build(
             "install embreex 4.4 or later, or choose backend 'run'"
         )
     _check_ids(scene)
-    split = masks.split(scene)
-    group_count = len(split.opaque)
-    if clib is None:
-        return Tracer("run", group_count, RunBackend(scene, split))
-    return Tracer(
-        "packet", group_count, PacketBackend(clib, scene, split, device_config)
-    )
+
+    def tracer(split: masks.Split, clear: Tracer | None = None) -> Tracer:
+        count = len(split.opaque)
+        if clib is None:
+            return Tracer("run", count, RunBackend(scene, split), clear)
+        way = PacketBackend(clib, scene, split, device_config)
+        return Tracer("packet", count, way, clear)
+
+    used = np.unique(np.asarray(scene.geometry.material))
+    if not np.any(np.asarray(scene.materials.blended)[used]):
+        return tracer(masks.split(scene))
+    return tracer(masks.split(scene), tracer(masks.split(scene, blended=True)))
 
 
 def intersect(

@@ -57,14 +57,11 @@ class RunBackend:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns distance, triangle and barycentric of the nearest hits."""
         del tile, coherent  # one ray at a time
-        count = origin.shape[0]
-        distance = np.full(count, np.inf, np.float32)
-        triangle = np.full(count, -1, np.int32)
-        barycentric = np.zeros((count, 2), np.float32)
+        distance, triangle, barycentric = _missed(origin.shape[0])
         rays = np.flatnonzero(_has_path(origin, direction))
 
-        def work(chunk: int) -> None:
-            mine = rays[chunk * _CHUNK : (chunk + 1) * _CHUNK]
+        def work(first: int, last: int) -> None:
+            mine = rays[first:last]
             far = np.full(mine.size, np.inf, np.float32)
             hits = self._nearest(world_from_group, origin[mine], direction[mine], far)
             distance[mine], triangle[mine], barycentric[mine] = hits
@@ -77,7 +74,7 @@ class RunBackend:
                 )
                 distance[again], triangle[again], barycentric[again] = hits
 
-        workers.for_each(-(-rays.size // _CHUNK), work)
+        workers.for_chunks(rays.size, _CHUNK, work)
         return distance, triangle, barycentric
 
     def occluded(
@@ -96,15 +93,15 @@ class RunBackend:
         long_enough = distance > np.finfo(np.float32).tiny
         rays = np.flatnonzero(active & long_enough & _has_path(origin, direction))
 
-        def work(chunk: int) -> None:
-            mine = rays[chunk * _CHUNK : (chunk + 1) * _CHUNK]
+        def work(first: int, last: int) -> None:
+            mine = rays[first:last]
             far = np.nextafter(distance[mine], np.float32(0.0))
             _, triangle, _ = self._nearest(
                 world_from_group, origin[mine], direction[mine], far
             )
             answer[mine] = triangle >= 0
 
-        workers.for_each(-(-rays.size // _CHUNK), work)
+        workers.for_chunks(rays.size, _CHUNK, work)
         return answer
 
     def _nearest(
@@ -115,10 +112,7 @@ class RunBackend:
         far: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns the nearest hits at 0 < distance ≤ far, over all groups."""
-        count = origin.shape[0]
-        distance = np.full(count, np.inf, np.float32)
-        triangle = np.full(count, -1, np.int32)
-        barycentric = np.zeros((count, 2), np.float32)
+        distance, triangle, barycentric = _missed(origin.shape[0])
         moving = len(self._scenes) > 1
         for group in range(len(self._scenes)):
             matrix = world_from_group[group]
@@ -141,9 +135,7 @@ class RunBackend:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns the nearest solid hits in one group, passing through holes."""
         count = origin.shape[0]
-        distance = np.full(count, np.inf, np.float32)
-        triangle = np.full(count, -1, np.int32)
-        barycentric = np.zeros((count, 2), np.float32)
+        distance, triangle, barycentric = _missed(count)
         rays = np.arange(count)
         passed = np.zeros(count, np.float64)  # distance already travelled
         step = np.zeros(count, np.float64)  # the last part of it, behind a hole
@@ -181,6 +173,15 @@ class RunBackend:
             passed = passed[onward] + hit["tfar"][onward] + step
             start = (origin[rays] + passed[:, None] * heading).astype(np.float32)
         return distance, triangle, barycentric
+
+
+def _missed(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns distance, triangle and barycentric of rays that hit nothing."""
+    return (
+        np.full(count, np.inf, np.float32),
+        np.full(count, -1, np.int32),
+        np.zeros((count, 2), np.float32),
+    )
 
 
 def _has_path(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -52,8 +52,13 @@ class Split(NamedTuple):
     mask: MaskTable  # rows: the masked triangles, group after group
 
 
-def split(scene: types.Scene) -> Split:
+def split(scene: types.Scene, *, blended: bool = False) -> Split:
     """Sorts the triangles by rigid group, and into always solid and to be tested.
+
+    Args:
+        scene: The scene.
+        blended: Take the triangles that something shows through, in place of the
+            others. They are never masked.
 
     A mask without a texture is the same everywhere: its triangles are solid, or they
     are left out. (Deciding textured triangles beforehand from the texels they span
@@ -65,8 +70,10 @@ def split(scene: types.Scene) -> Split:
     tested = np.asarray(materials.alpha_masked)
     textured = np.asarray(materials.base_color_texture) != types.NO_TEXTURE
     below = np.asarray(materials.base_color)[:, 3] < np.asarray(materials.alpha_cutoff)
-    masked = (tested & textured)[material]
-    opaque = (~tested | (~textured & ~below))[material]
+    taken = np.asarray(materials.blended) == blended
+    tested = tested & ~np.asarray(materials.blended)
+    masked = (tested & textured & taken)[material]
+    opaque = ((~tested | (~textured & ~below)) & taken)[material]
     groups = range(int(group.max()) + 1 if group.size else 1)
     opaque_ids, masked_ids = (
         [np.flatnonzero((group == g) & wanted).astype(np.int32) for g in groups]

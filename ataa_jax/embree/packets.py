@@ -77,14 +77,13 @@ class PacketBackend:
         arguments = self._arguments[coherent].ctypes.data
         height, width, packets = _walk(tile, count)
 
-        def work(chunk: int) -> None:
-            first = chunk * kernels.CHUNK
+        def work(first: int, last: int) -> None:
             kernels.intersect(
                 self._intersect16,
                 placed.handle,
                 arguments,
                 first,
-                min(first + kernels.CHUNK, packets),
+                last,
                 height,
                 width,
                 origin,
@@ -96,7 +95,7 @@ class PacketBackend:
                 barycentric,
             )
 
-        workers.for_each(-(-packets // kernels.CHUNK), work)
+        workers.for_chunks(packets, kernels.CHUNK, work)
         return distance, triangle, barycentric
 
     def occluded(
@@ -116,14 +115,13 @@ class PacketBackend:
         arguments = self._arguments[coherent].ctypes.data
         height, width, packets = _walk(tile, count)
 
-        def work(chunk: int) -> None:
-            first = chunk * kernels.CHUNK
+        def work(first: int, last: int) -> None:
             kernels.occluded(
                 self._occluded16,
                 placed.handle,
                 arguments,
                 first,
-                min(first + kernels.CHUNK, packets),
+                last,
                 height,
                 width,
                 origin,
@@ -133,7 +131,7 @@ class PacketBackend:
                 answer,
             )
 
-        workers.for_each(-(-packets // kernels.CHUNK), work)
+        workers.for_chunks(packets, kernels.CHUNK, work)
         return answer
 
     def _place(self, world_from_group: np.ndarray) -> library.EmbreeHandle:

@@ -40,19 +40,21 @@ def _pool() -> ThreadPoolExecutor:
     )
 
 
-def for_each(count: int, work: Callable[[int], object]) -> None:
-    """Calls ``work(0) … work(count - 1)``, on several threads, in any order.
+def for_chunks(count: int, size: int, work: Callable[[int, int], object]) -> None:
+    """Calls ``work(first, last)`` on pieces of ``range(count)``, `size` each.
 
+    They run on several threads, in any order; `last` is one past a piece's end.
     The calling thread works too, and the others only ever take what is left, so a
     pool that other callers keep busy delays nobody.
     """
-    chunks = itertools.count()  # `next` is atomic under the interpreter lock
+    starts = itertools.count(0, size)  # `next` is atomic under the interpreter lock
 
     def drain() -> None:
-        while (chunk := next(chunks)) < count:
-            work(chunk)
+        while (first := next(starts)) < count:
+            work(first, min(first + size, count))
 
-    helpers = [_pool().submit(drain) for _ in range(min(_threads, count) - 1)]
+    chunks = -(-count // size)
+    helpers = [_pool().submit(drain) for _ in range(min(_threads, chunks) - 1)]
     drain()
     for helper in helpers:
         if not helper.cancel():

@@ -14,7 +14,7 @@ import numpy as np
 
 from ataa_jax.gltf import meshes
 from ataa_jax.gltf.animation import read_animation
-from ataa_jax.gltf.container import Container, open_container, short
+from ataa_jax.gltf.container import Container, open_container
 from ataa_jax.gltf.materials import Materials, read_materials
 from ataa_jax.gltf.nodes import (
     STATIC,
@@ -67,6 +67,7 @@ def load(path: str | Path) -> SceneSource:
         transforms=_transforms(hierarchy, groups) if moving else still_groups(1),
         duration=hierarchy.animation.duration if moving else 0.0,
         warnings=container.warnings,
+        distinct_meshes=builder.distinct_meshes,
     )
 
 
@@ -105,17 +106,11 @@ class _Builder:
                 "skinned meshes stand still, in their pose of t = 0: "
                 f"{skinned} triangles"
             )
-        used = {mesh.material for mesh in self.meshes}
-        blended = [
-            short(source.name)
-            for index, source in enumerate(self._materials.sources)
-            if source.alpha_mode == "BLEND" and index in used
-        ]
-        if blended:
-            container.warn(
-                "blended materials are drawn where alpha >= 0.5, skipped elsewhere: "
-                + ", ".join(dict.fromkeys(blended))
-            )
+
+    @property
+    def distinct_meshes(self) -> int:
+        """Counts the drawn objects of the file, each once however often it is drawn."""
+        return sum(map(len, self._primitives.values()))
 
     def _add(self, index: int) -> int:
         """Adds a node's mesh; returns how many of its triangles are skinned."""

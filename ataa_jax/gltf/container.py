@@ -22,6 +22,7 @@ SUPPORTED_EXTENSIONS = frozenset(
         "KHR_lights_punctual",
         "KHR_texture_transform",
         "KHR_materials_emissive_strength",
+        "KHR_materials_transmission",
         "KHR_mesh_quantization",
     }
 )

@@ -109,6 +109,14 @@ def _material(
             strength_record, "emissiveStrength", f"{where}.extensions", 1.0
         )
     )
+    glass = container.extension(record, "KHR_materials_transmission", where) or {}
+    glass_where = f"{where}.extensions.KHR_materials_transmission"
+    transmission = container.number(glass, "transmissionFactor", glass_where, 0.0)
+    if "transmissionTexture" in glass:
+        container.warn(
+            f"material {short(name)}: its transmission texture is not read; the "
+            "factor holds everywhere"
+        )
     emissive = container.numbers(record, "emissiveFactor", 3, where, (0.0, 0.0, 0.0))
     r, g, b, a = container.numbers(
         pbr, "baseColorFactor", 4, pbr_where, (1.0, 1.0, 1.0, 1.0)
@@ -127,6 +135,7 @@ def _material(
         normal_scale=container.number(normal, "scale", f"{where}.normalTexture", 1.0),
         alpha_mode=alpha_mode,
         alpha_cutoff=container.number(record, "alphaCutoff", where, 0.5),
+        transmission=_unit(transmission),
         double_sided=record.get("doubleSided", False) is True,
         base_color_texture=base_color_texture,
         metallic_roughness_texture=metallic_roughness_texture,

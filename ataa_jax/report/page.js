@@ -24,6 +24,9 @@
     return decoded.get(uri);
   }
 
+  // Why-bits of the pixel whose bytes start at i: green holds the low eight, blue the rest.
+  const why = (m, i) => m[i + 1] | (m[i + 2] << 8);
+
   function pixels(image) {
     const canvas = document.createElement("canvas");
     canvas.width = W; canvas.height = H;
@@ -57,7 +60,7 @@
           const entry = data.mask[m[i]];
           if (entry) { color = entry.color; alpha = entry.alpha; }
         } else {
-          const entry = data.reasons.find((r) => (m[i + 1] & r.bits) === r.bits);
+          const entry = data.reasons.find((r) => (why(m, i) & r.bits) === r.bits);
           if (entry) { color = entry.color; alpha = entry.alpha; }
         }
         for (let c = 0; c < 3; c++) p[i + c] = luma * (1 - alpha) + (color ? color[c] * alpha : 0);
@@ -231,7 +234,7 @@
     if (name) {
       const m = await probeMap(name, state.index), i = 4 * (y * W + x);
       const method = data.mask[m[i]];
-      const reasons = data.reasons.filter((r) => (m[i + 1] & r.bits) === r.bits && (r.bits & (r.bits - 1)) === 0);
+      const reasons = data.reasons.filter((r) => (why(m, i) & r.bits) === r.bits && (r.bits & (r.bits - 1)) === 0);
       text += `: ${method ? method.name : "?"}${reasons.length ? ` (${reasons.map((r) => r.name).join(", ")})` : ""}`;
     }
     $("probe").textContent = text;

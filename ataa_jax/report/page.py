@@ -13,7 +13,7 @@ import jinja2
 import numpy as np
 from PIL import Image
 
-from ataa_jax import files
+from ataa_jax import files, types
 from ataa_jax.compare import METHODS, REFERENCE, Comparison
 from ataa_jax.report import crops, tables
 from ataa_jax.report.palette import (
@@ -21,6 +21,7 @@ from ataa_jax.report.palette import (
     MASK_COLORS,
     MASK_NAMES,
     REASONS,
+    Reason,
     family,
     from_literature,
     samples,
@@ -67,7 +68,7 @@ def render(comparison: Comparison, limit_bytes: int = LIMIT_BYTES) -> str:
         mask_legend=[
             (MASK_NAMES[key], _css(color)) for key, color in MASK_COLORS.items()
         ],
-        reason_legend=[(r.name, _css(r.color)) for r in REASONS],
+        reason_legend=[(r.name, _css(r.color)) for r in _reasons(comparison)],
         strip=sheet,
         strip_size=strip(comparison).size,
         worst=label(crops.worst_case(comparison)),
@@ -206,7 +207,7 @@ def _data(comparison: Comparison, frames: range, quality: int) -> dict[str, obje
         ],
         "reasons": [
             {"bits": r.bits, "name": r.name, "color": r.color, "alpha": r.alpha}
-            for r in REASONS
+            for r in _reasons(comparison)
         ],
     }
 
@@ -240,12 +241,19 @@ def _number(value: float) -> float | None:
     return round(value, 8) if np.isfinite(value) else None
 
 
+def _reasons(comparison: Comparison) -> list[Reason]:
+    """Returns the reasons to name: of criteria beyond the paper's only what is seen."""
+    seen = 0
+    for images in comparison.whys.values():
+        for why in images:
+            seen |= int(np.bitwise_or.reduce(why, axis=None))
+    return [r for r in REASONS if r.bits < types.WHY_NORMAL or r.bits & seen]
+
+
 def _map(mask: np.ndarray, why: np.ndarray) -> np.ndarray:
-    """Packs method (red) and why-bits (green) into one exact picture."""
-    return np.stack(
-        [mask.astype(np.uint8), why.astype(np.uint8), np.zeros_like(mask, np.uint8)],
-        axis=-1,
-    )
+    """Packs method (red) and why-bits (green low, blue high) into one exact picture."""
+    low, high = why & 0xFF, why >> 8
+    return np.stack([mask, low, high], axis=-1).astype(np.uint8)
 
 
 def _fitting(comparison: Comparison, limit_bytes: int) -> tuple[int, int]:

@@ -54,8 +54,9 @@ def why_overlay(image: np.ndarray, why: np.ndarray) -> np.ndarray:
 
     Args:
         image: uint8 (h, w, 3), sRGB.
-        why: uint8 (h, w), WHY_* bits; pixels without any stay grey.
+        why: uint16 (h, w), WHY_* bits; pixels without any stay grey.
     """
+    why = why.astype(np.uint16)  # masks of eight bits hold the first eight reasons
     color = np.zeros((*why.shape, 3))
     alpha = np.zeros((*why.shape, 1))
     for reason in reversed(REASONS):

@@ -34,6 +34,56 @@ def depth_term(depth, row, column):
     return gradient / (8.0 * inverse.max())
 
 
+def normal_term(normal, row, column):
+    own = at(normal, row, column).astype(float)
+    nine = window(normal.astype(float), row, column).reshape(9, 3)
+    angles = [
+        np.arctan2(np.linalg.norm(np.cross(own, other)), own @ other)
+        for other in nine
+        if own.any() and other.any()
+    ]
+    return max(angles, default=0.0) / np.pi
+
+
+def id_term(ids, row, column):
+    return float(len(np.unique(window(ids, row, column))) > 1)
+
+
+def spread_term(color, reprojected, row, column, floor):
+    means, deviations = [], []
+    for image in (color, reprojected):
+        mapped = image / (1.0 + image.max(axis=-1, keepdims=True))
+        nine = window(mapped @ LUMA, row, column)
+        means.append(nine.mean())
+        deviations.append(nine.std())
+    if max(means) < floor:
+        return 0.0
+    return abs(deviations[0] - deviations[1]) / (np.sqrt(8.0) * max(means))
+
+
+def terms(color, gbuffer, reprojected, row, column, p, config):
+    """Returns (why-bit, term, weight, threshold of "either") of what is switched on."""
+    found = []
+    if config.use_luminance:
+        term = luminance_term(color, reprojected, row, column, p.luminance_floor)
+        found.append((8, term, p.luminance_weight, p.luminance_threshold))
+    if config.use_depth:
+        term = depth_term(gbuffer.depth, row, column)
+        found.append((16, term, p.depth_weight, p.depth_threshold))
+    if config.use_normal:
+        term = normal_term(gbuffer.normal, row, column)
+        found.append((128, term, p.normal_weight, p.normal_threshold))
+    if config.use_object:
+        found.append((256, id_term(gbuffer.object, row, column), p.object_weight, 0.5))
+    if config.use_material:
+        term = id_term(gbuffer.material, row, column)
+        found.append((512, term, p.material_weight, 0.5))
+    if config.use_spread:
+        term = spread_term(color, reprojected, row, column, p.luminance_floor)
+        found.append((1024, term, p.spread_weight, p.spread_threshold))
+    return found
+
+
 def segmentation(state, color, gbuffer, reprojected, params, config):
     """Returns (method, hold counter, why, score), arrays; inputs are NumPy pytrees."""
     height, width = gbuffer.depth.shape
@@ -75,33 +125,21 @@ def segmentation(state, color, gbuffer, reprojected, params, config):
             )
             if held and change > p.reset_px:
                 held, why[row, column] = 0, 64
-            luminance = depth = 0.0
-            w_l, w_d = float(p.luminance_weight), float(p.depth_weight)
-            if config.use_luminance:
-                luminance = luminance_term(
-                    color, reprojected, row, column, p.luminance_floor
-                )
-            else:
-                w_l = 0.0
-            if config.use_depth:
-                depth = depth_term(gbuffer.depth, row, column)
-            else:
-                w_d = 0.0
+            found = terms(color, gbuffer, reprojected, row, column, p, config)
             if config.reading == "sum":
-                value = (w_l * luminance + w_d * depth) / max(w_l + w_d, 1e-30)
-                least, limits = p.threshold, (p.threshold, p.threshold)
+                total = sum(float(weight) for _, _, weight, _ in found)
+                value = sum(float(w) * term for _, term, w, _ in found)
+                value, least = value / max(total, 1e-30), p.threshold
             else:
-                limits = (p.luminance_threshold, p.depth_threshold)
-                over = max(luminance / limits[0], depth / limits[1])
+                over = max((term / limit for _, term, _, limit in found), default=0.0)
                 value, least = over / (1.0 + over), 0.5
             fires = value > least
             if held:
                 why[row, column] |= 4
                 value = max(value, least)
-            if fires:
-                why[row, column] |= 8 * (luminance > limits[0]) + 16 * (
-                    depth > limits[1]
-                )
+            for bit, term, _, limit in found if fires else ():
+                passes = term > (p.threshold if config.reading == "sum" else limit)
+                why[row, column] |= bit * bool(passes)
             method[row, column] = 2 if held or fires else 1
             hold[row, column] = max(int(held) - 1, 0)
             if fires and config.use_history:

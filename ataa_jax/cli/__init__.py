@@ -1,0 +1,411 @@
+"""The command line: arguments in, files out, no mathematics.
+
+Results appear in the output folder all at once, when they are complete (see `files`).
+A user's mistake is one line on standard error and exit code 2; `--traceback` shows
+where it came from. What needs JAX is imported inside the commands, so that `--help`
+answers at once.
+"""
+
+import sys
+import traceback as tracebacks
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from typer.core import TyperGroup
+
+from ataa_jax import capture_commands
+from ataa_jax.cli import given, terminal
+from ataa_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from ataa_jax import compare, effects, paths, world
+
+_SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
+BAD_INPUT, INTERRUPTED, FAILED = 2, 130, 1
+
+
+class _Group(TyperGroup):
+    """Turns Ctrl-C inside a command into one line, before typer sees it."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(
+    cls=_Group,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Adaptive temporal antialiasing: render, compare and measure.",
+)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go.")] = Path(
+        "out/demo"
+    ),
+    size: given.Size = "640x360",
+    frames: given.Frames = 4,
+    reference_samples: given.ReferenceSamples = 16,
+    traceback: given.Traceback = False,
+) -> None:
+    """Shows on the built-in scene what ATAA does, in about a minute."""
+    _compare(
+        "builtin",
+        size=size,
+        names=["none", "fxaa", "taa", "ataa8", "ssaa8"],
+        camera=None,
+        motion=None,
+        params=None,
+        out=out,
+        options={"frames": frames, "reference_samples": reference_samples},
+    )
+    console = Console(soft_wrap=True)
+    console.print(
+        f"\nLook at [bold]{out / 'hero.png'}[/bold] first: one crop and the whole "
+        "frame, without antialiasing, with TAA, with ATAA, the truth, and the mask."
+        "\nRed pixels had no history and got FXAA, blue ones TAA is right about, "
+        "yellow ones were traced.\nThen open "
+        f"[bold]{out / 'index.html'}[/bold] in a browser and drag the divider between "
+        "any two methods.",
+        highlight=False,
+    )
+
+
+@app.command()
+def info(
+    scene: given.Scene,
+    effects: given.Effects = None,
+    traceback: given.Traceback = False,
+) -> None:
+    """Tells what a scene holds, and which effects will be rendered, and why."""
+    from ataa_jax import world as worlds
+
+    wish = _wish(effects)
+    with terminal.progress() as report:
+        report("loading the scene", 0, 1)
+        loaded = worlds.load(scene, wish=wish)
+    terminal.describe(loaded)
+
+
+@app.command()
+def run(
+    scene: given.Scene,
+    size: given.Size = "640x360",
+    frames: given.Frames = 12,
+    method: given.Method = "ataa8",
+    preset: given.Preset = "tuned",
+    camera: given.CameraOption = None,
+    motion: given.Motion = None,
+    budget: given.Budget = None,
+    lead_in: given.LeadIn = 0,
+    params: given.ParamsOption = None,
+    effects: given.Effects = None,
+    exr: Annotated[bool, typer.Option("--exr", help="Also linear OpenEXR.")] = False,
+    out: given.Out = None,
+    traceback: given.Traceback = False,
+) -> None:
+    """Renders a scene along a camera path by one method."""
+    extent = given.size_of(size)
+    given.at_least("--frames", frames, 1)
+    given.at_least("--lead-in", lead_in, 0)
+    if "," in method:
+        raise InputError(
+            f"--method of `ataa run` takes one method, not '{method}'; `ataa compare` "
+            "takes several"
+        )
+    with _output(out or Path("out") / f"{_stem(scene)}-{method}") as (folder, final):
+        from ataa_jax import compare, film
+
+        (name,) = compare.check_methods([method])
+        if preset not in ("tuned", "ue4"):
+            raise InputError(f"unknown preset '{preset}'; known are tuned, ue4")
+        if preset == "ue4" and name.startswith(("taa", "ataa")):
+            name = name.removesuffix("_ue4") + "_ue4"
+        if name.endswith("_ue4") and params is not None:
+            raise InputError(
+                "--params changes the tuned preset; leave out --preset ue4 and the "
+                "methods that end in _ue4"
+            )
+        options = {
+            "frames": frames,
+            "lead_in": lead_in,
+            "budget": budget,
+            "effects": effects,
+        }
+        with terminal.progress() as report:
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, (name,), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, report, options
+                )
+            rows = film.shoot(shot, name, chosen, folder, exr=exr, progress=report)
+    console = Console(soft_wrap=True, highlight=False)
+    heads = ("frame", "FXAA", "TAA", "ATAA", "rays/px", "over budget", "shadow rays")
+    if any(row[1] for row in rows):
+        console.print(terminal.table(heads, rows[:_SHOWN_ROWS]))
+    terminal.notes(console, compare.notes(shot))
+    terminal.wrote(
+        console,
+        final,
+        "frames/ mask/ why/ exr/ video.mp4 statistics.csv timings.csv",
+    )
+
+
+@app.command(name="compare")
+def compare_command(
+    scene: given.Scene,
+    size: given.Size = "640x360",
+    frames: given.Frames = 12,
+    method: given.Methods = None,
+    camera: given.CameraOption = None,
+    motion: given.Motion = None,
+    budget: given.Budget = None,
+    reference_samples: given.ReferenceSamples = 64,
+    lead_in: given.LeadIn = 8,
+    params: given.ParamsOption = None,
+    effects: given.Effects = None,
+    out: given.Out = None,
+    traceback: given.Traceback = False,
+) -> None:
+    """Renders a scene by every method, and scores all against a supersampled truth."""
+    _compare(
+        scene,
+        size=size,
+        names=method,
+        camera=camera,
+        motion=motion,
+        params=params,
+        out=out or Path("out") / _stem(scene),
+        options={
+            "frames": frames,
+            "lead_in": lead_in,
+            "budget": budget,
+            "reference_samples": reference_samples,
+            "effects": effects,
+        },
+    )
+
+
+@app.command()
+def check(
+    capture: Annotated[
+        Path, typer.Argument(metavar="CAPTURE", help="The folder of a capture.")
+    ],
+    traceback: given.Traceback = False,
+) -> None:
+    """Tells whether a capture's images agree with its metadata, and what to mend."""
+    raise typer.Exit(capture_commands.check_folder(str(capture)))
+
+
+@app.command()
+def bench(
+    scene: given.Scene,
+    size: given.Size = "640x360",
+    camera: given.CameraOption = None,
+    budget: given.Budget = None,
+    out: given.Out = None,
+    traceback: given.Traceback = False,
+) -> None:
+    """Measures a scene: rays a second, stages of a frame, peak memory."""
+    extent = given.size_of(size)
+    place = out or Path("out") / f"{_stem(scene)}-bench"
+    with _output(place) as (folder, final):
+        from ataa_jax import bench as benchmark
+        from ataa_jax import files
+
+        with terminal.progress() as report:
+            report("loading the scene", 0, 2)
+            loaded, _ = _load(scene, camera)
+            report("measuring", 1, 2)
+            rows = benchmark.run(
+                loaded, extent, camera, 0.5 if budget is None else budget
+            )
+            rows.append(benchmark.peak_memory(scene))
+        cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
+        files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(terminal.table(("Quantity", "Value", "Unit"), cells, right=(1,)))
+    console.print(f"\nWrote {final / 'bench.csv'}", markup=False)
+
+
+def _compare(
+    scene: str,
+    *,
+    size: str,
+    names: list[str] | None,
+    camera: str | None,
+    motion: str | None,
+    params: Path | None,
+    out: Path,
+    options: dict[str, Any],
+) -> None:
+    """The body of `compare` and `demo`."""
+    extent = given.size_of(size)
+    given.at_least("--frames", options["frames"], 1)
+    given.at_least("--lead-in", options.get("lead_in", 0), 0)
+    given.at_least("--reference-samples", options["reference_samples"], 1)
+    with _output(out) as (folder, final):
+        from ataa_jax import compare, report
+
+        if names:
+            split = [part.strip() for name in names for part in name.split(",")]
+            options["methods"] = compare.check_methods(dict.fromkeys(split))
+        with terminal.progress() as tell:
+            if capture_commands.given(scene):
+                shot, chosen = capture_commands.prepare(
+                    scene, camera, motion, params, options.pop("methods", ()), options
+                )
+            else:
+                shot, chosen = _prepare(
+                    scene, extent, camera, motion, params, tell, options
+                )
+            result = compare.compare(shot, chosen, tell)
+            report.write(
+                result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)
+            )
+    console = Console(soft_wrap=True, highlight=False)
+    Console(highlight=False).print(report.terminal(result))
+    terminal.notes(console, result.notes)
+    terminal.wrote(
+        console,
+        final,
+        "index.html strip.png hero.png scores.csv frames.csv plots/ frames/ mask/ why/ "
+        "timings.csv",
+    )
+
+
+def _load(
+    scene: str,
+    camera: str | None,
+    motion: str | None = None,
+    wish: "effects.Wish | None" = None,
+) -> tuple["world.World", "paths.CameraPath"]:
+    """Loads a scene, lit and exposed for the camera at which the path starts."""
+    from ataa_jax import paths
+    from ataa_jax import world as worlds
+
+    text = camera or "walk"
+    paths.load(text, motion)  # so that a mistake is told before a long read
+    source = worlds.read(scene)
+    path = paths.load(text, motion, [known.name for known in source.cameras])
+    return worlds.prepare(source, camera=path.camera, wish=wish), path
+
+
+def _wish(text: str | None) -> "effects.Wish | None":
+    """Reads `--effects`; None where it was not given."""
+    if text is None:
+        return None
+    from ataa_jax import effects
+
+    return effects.parse(text)
+
+
+def _prepare(
+    scene: str,
+    extent: tuple[int, int],
+    camera: str | None,
+    motion: str | None,
+    params: Path | None,
+    report: terminal.Report,
+    options: dict[str, Any],
+) -> tuple["world.Sequence", "compare.Options"]:
+    """Loads everything that a sequence needs, and checks it before any frame."""
+    from ataa_jax import compare, parameters, pipeline
+    from ataa_jax import world as worlds
+
+    asked = options.pop("budget", None)
+    budget = 0.5 if asked is None else asked
+    if not budget >= 0.0:
+        raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
+    wish = _wish(options.pop("effects", None))
+    table = parameters.read(params) if params is not None else {}
+    report("loading the scene", 0, 1)
+    loaded, path = _load(scene, camera, motion, wish)
+    if table:
+        _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
+        where = f"parameter file {params}"
+        options["params"] = parameters.override(numbers, table, where)
+        if asked is None:  # the file's budget counts, but the command line wins
+            budget = float(options["params"].budget)
+    options["budget"] = budget
+    return worlds.sequence(loaded, path, extent), compare.Options(**options)
+
+
+def _stem(scene: str) -> str:
+    return Path(scene).stem or "scene"
+
+
+@contextmanager
+def _output(out: Path) -> Iterator[tuple[Path, Path]]:
+    """Yields the folder to write into and its final name; see `files.output_folder`."""
+    from ataa_jax import files
+
+    with files.output_folder(out) as folder:
+        yield folder, out
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Show it.")] = False,
+) -> None:
+    if version:
+        typer.echo(metadata.version("ataa-jax"))
+        raise typer.Exit
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: without the program's name; the process's own by default.
+
+    Returns:
+        Exit code: 0, 2 for a user's mistake, 130 when interrupted, 1 for a failure of
+        the program itself.
+    """
+    words = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    code, message = FAILED, ""
+    try:
+        result = app(args=words, prog_name="ataa", standalone_mode=False)
+        code = result if isinstance(result, int) else 0
+        message = "interrupted" if code == INTERRUPTED else ""
+    except InputError as error:
+        code, message = BAD_INPUT, str(error)
+        _traceback(words)
+    except (KeyboardInterrupt, typer.Abort):
+        code, message = INTERRUPTED, "interrupted"
+    except MemoryError:
+        message = "out of memory; try a smaller --size"
+        _traceback(words)
+    except Exception as error:
+        # typer's own usage errors; which class, depends on its version.
+        if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+            code, message = BAD_INPUT, error.format_message()  # type: ignore[attr-defined]
+        else:
+            message = (
+                f"unexpected {type(error).__name__}: {error}; --traceback shows where"
+            )
+        _traceback(words)
+    if message:
+        line = " ".join(message.split())
+        print(f"error: {line}" if code != INTERRUPTED else line, file=sys.stderr)
+    return code
+
+
+def _traceback(words: list[str]) -> None:
+    if "--traceback" in words:
+        tracebacks.print_exc()

@@ -1,0 +1,107 @@
+"""Tracing from JAX: jit, vmap, gradients, and the life of a tracer."""
+
+import gc
+import weakref
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ataa_jax import embree
+from tests import tiny
+from tests.tracing import (
+    garden,
+    pose,
+    rays,
+    shared_tracer,
+)
+
+
+def test_jit_eager_and_host_give_the_same_bits(backend):
+    tracer = embree.build(garden(groups=3), backend=backend)
+    origin, direction = rays(1000)
+    arrays = [jnp.asarray(a) for a in (pose(0), origin, direction)]
+    host = tracer.intersect_numpy(pose(0), origin, direction)
+    eager = embree.intersect(tracer, *arrays)
+    jitted = jax.jit(embree.intersect, static_argnums=0)(tracer, *arrays)
+    for hits in (eager, jitted):
+        np.testing.assert_array_equal(hits.distance, host.distance)
+        np.testing.assert_array_equal(hits.triangle, host.triangle)
+        np.testing.assert_array_equal(hits.barycentric, host.barycentric)
+        assert hits.triangle.dtype == jnp.int32
+    distance, active = np.full(1000, np.float32(2)), np.arange(1000) % 2 == 0
+    expected = tracer.occluded_numpy(pose(0), origin, direction, distance, active)
+    blocked = jax.jit(embree.occluded, static_argnums=0)(
+        tracer, *arrays, jnp.asarray(distance), jnp.asarray(active)
+    )
+    np.testing.assert_array_equal(blocked, expected)
+
+
+def test_tiles_and_hints_pass_through_jit():
+    tracer = shared_tracer()
+    origin, direction = (jnp.asarray(a) for a in rays(12 * 10))
+    still = jnp.asarray(tiny.still())
+    plain = embree.intersect(tracer, still, origin, direction)
+    tiled = jax.jit(
+        lambda o, d: embree.intersect(
+            tracer, still, o, d, tile=(12, 10), coherent=False
+        )
+    )(origin, direction)
+    np.testing.assert_array_equal(plain.distance, tiled.distance)
+
+
+def test_vmap_over_poses_traces_each():
+    tracer = embree.build(garden(groups=3))
+    origin, direction = rays(300)
+    poses = np.stack([pose(seed) for seed in range(4)])
+
+    def distance(matrices):
+        return embree.intersect(
+            tracer, matrices, jnp.asarray(origin), jnp.asarray(direction)
+        ).distance
+
+    together = jax.jit(jax.vmap(distance))(jnp.asarray(poses))
+    for matrices, row in zip(poses, together, strict=True):
+        np.testing.assert_array_equal(
+            row, tracer.intersect_numpy(matrices, origin, direction).distance
+        )
+
+
+def test_no_gradient_flows_through_tracing():
+    tracer = shared_tracer()
+    origin, direction = (jnp.asarray(a) for a in rays(64))
+    still = jnp.asarray(tiny.still())
+
+    def total(origin):
+        hits = embree.intersect(tracer, still, origin, direction)
+        blocked = embree.occluded(
+            tracer, still, origin, direction, hits.distance * 2, hits.triangle >= 0
+        )
+        near = jnp.where(blocked, hits.distance, 0.0)
+        return jnp.sum(jnp.where(jnp.isfinite(near), near, 0.0)) + jnp.sum(origin)
+
+    np.testing.assert_array_equal(jax.grad(total)(origin), np.ones((64, 3)))
+
+
+def test_dispatch_is_synchronous():
+    assert not jax.config.read("jax_cpu_enable_async_dispatch")
+
+
+def test_a_tracer_compares_and_hashes_by_identity():
+    a, b = embree.build(garden()), embree.build(garden())
+    assert a == a
+    assert a != b
+    assert len({a, b, a}) == 2
+
+
+def test_a_collected_tracer_frees_embree():
+    tracer = embree.build(garden(groups=3))
+    origin, direction = rays(100)
+    tracer.intersect_numpy(pose(0), origin, direction)
+    freed = []
+    weakref.finalize(tracer._way._device, freed.append, "device")
+    for scene in (*tracer._way._groups, *tracer._way._placed.values()):
+        weakref.finalize(scene, freed.append, "scene")
+    del tracer, scene
+    gc.collect()
+    assert sorted(freed) == ["device", "scene", "scene", "scene", "scene"]
