@@ -33,9 +33,7 @@ def test_a_replay_gives_the_same_masks_and_images_as_the_pipeline(shot, recordin
         config=replay.replayable(config),
         choose=replay.by_criteria(config.segmentation),
     )
-    live = [
-        out for out, _ in pipeline.sequence(shot, params, config=config, frames=3)
-    ]
+    live = [out for out, _ in pipeline.sequence(shot, params, config=config, frames=3)]
     traced = [int(out.statistics.ataa_pixels) for out in live]
     assert max(traced) > 100, "nothing was traced: the test shows nothing"
     for index, out in enumerate(live):
@@ -61,7 +59,9 @@ def test_the_replay_counts_the_rays_that_the_mask_asks_for(recording):
     assert replay.rays_per_pixel(played, recording) == pytest.approx(expected)
 
 
-def test_a_second_recording_comes_from_the_cache_bit_by_bit(shot, monkeypatch, tmp_path):
+def test_a_second_recording_comes_from_the_cache_bit_by_bit(
+    shot, monkeypatch, tmp_path
+):
     monkeypatch.setenv("ATAA_CACHE", str(tmp_path))
     first = record.record(shot, frames=1, lead_in=1, reference_samples=1)
 

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import color as colors
 from ataa_jax import (
     camera,
     embree,
@@ -39,6 +38,7 @@ from ataa_jax import (
     texture,
     vector,
 )
+from ataa_jax import color as colors
 from ataa_jax.errors import InputError
 from ataa_jax.types import FrameInputs, GBuffer
 from ataa_jax.world import Sequence

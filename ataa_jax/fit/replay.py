@@ -57,6 +57,7 @@ def _by_criteria(
         blended.reprojected,
         params.segmentation,
         config=config,
+        blended=blended.color,
     )
 
 

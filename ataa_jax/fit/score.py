@@ -97,7 +97,9 @@ def at_budget(take: Take, params: pipeline.Params, budget: float) -> Result:
     ), float(solved.threshold))  # fmt: skip
 
 
-def as_is(take: Take, params: pipeline.Params, threshold: float | None = None) -> Result:
+def as_is(
+    take: Take, params: pipeline.Params, threshold: float | None = None
+) -> Result:
     """Scores parameters untouched, with the rays that they ask for."""
     played = _played(take, params)
     if threshold is None:
@@ -112,9 +114,7 @@ def as_is(take: Take, params: pipeline.Params, threshold: float | None = None) -
 def chosen(take: Take, params: pipeline.Params, choose: replay.Chooser, extra: object
 ) -> Result:  # fmt: skip
     """Scores another chooser of pixels."""
-    played = replay.play(
-        take.frames, params, extra, config=take.config, choose=choose
-    )
+    played = replay.play(take.frames, params, extra, config=take.config, choose=choose)
     return Result(
         ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
         rays=_rays(take, played),

@@ -1,8 +1,8 @@
 """The threshold at which a sequence meets its ray budget, in closed loop.
 
-Rays fall as the threshold rises, and over the range that matters their logarithms
-are near a line: false position on them, with Illinois' halving, keeps the bracket and
-needs about five replays.
+Rays fall as the threshold rises; over the square root of the threshold their logarithm
+is near a line from 4 rays a pixel to a hundredth of one. False position on it, with
+Illinois' halving, keeps the bracket and needs about five replays.
 """
 
 from functools import partial
@@ -33,7 +33,7 @@ class Solved(NamedTuple):
 
 
 class _Search(NamedTuple):
-    low: Float[Array, ""]  # log threshold with too many rays
+    low: Float[Array, ""]  # root of a threshold with too many rays
     high: Float[Array, ""]  # with too few
     low_miss: Float[Array, ""]  # log rays − log budget there, at least 0
     high_miss: Float[Array, ""]  # at most 0
@@ -88,21 +88,21 @@ def threshold(
     """
     goal = jnp.log(budget)
 
-    def miss(log_threshold: Array) -> tuple[Array, Array]:
-        at = space.with_threshold(params, jnp.exp(log_threshold), config.segmentation)
+    def miss(root: Array) -> tuple[Array, Array]:
+        at = space.with_threshold(params, root * root, config.segmentation)
         spent = rays(frames, at, config=config, lead_in=lead_in, samples=samples)
         return jnp.log(jnp.maximum(spent, _SMALLEST)) - goal, spent
 
     def unfinished(search: _Search) -> Array:
         off = jnp.abs(search.best.rays / budget - 1.0) > TOLERANCE
-        open_ = search.high - search.low > 1e-4
+        open_ = search.high - search.low > 1e-5
         return off & open_ & (search.best.replays < REPLAYS)
 
     def narrow(search: _Search) -> _Search:
         span = search.low_miss - search.high_miss
         share = search.low_miss / jnp.maximum(span, 1e-6)
         # Off the ends, or a far outlier's step would crawl.
-        share = jnp.clip(share, 0.1, 0.9)
+        share = jnp.clip(share, 0.02, 0.98)
         middle = search.low + (search.high - search.low) * share
         found, spent = miss(middle)
         above = found > 0.0
@@ -121,7 +121,7 @@ def threshold(
                 above, search.high_miss * jnp.where(halve_high, 0.5, 1.0), found
             ),
             best=Solved(
-                threshold=jnp.where(closer, jnp.exp(middle), best.threshold),
+                threshold=jnp.where(closer, middle * middle, best.threshold),
                 rays=jnp.where(closer, spent, best.rays),
                 replays=best.replays + 1,
             ),
@@ -129,15 +129,14 @@ def threshold(
         )
 
     # The lowest threshold decides whether the budget can be spent at all.
-    lowest, highest = jnp.log(jnp.float32(LOWEST)), jnp.log(jnp.float32(HIGHEST))
+    lowest, highest = jnp.sqrt(jnp.float32(LOWEST)), jnp.sqrt(jnp.float32(HIGHEST))
     found, spent = miss(lowest)
     start = _Search(
         low=lowest,
         high=jnp.where(found > 0.0, highest, lowest),
         low_miss=found,
-        # our choice: no score passes 1, so no rays there; what stands for none is
-        # near, for a false position between 4 rays and a millionth would crawl.
-        high_miss=jnp.log(jnp.float32(1.0 / 64.0)),
+        # No score passes 1, so no rays there.
+        high_miss=jnp.log(jnp.float32(_SMALLEST)) - goal,
         best=Solved(
             threshold=jnp.float32(LOWEST), rays=spent, replays=jnp.asarray(1, jnp.int32)
         ),

@@ -1,7 +1,7 @@
 """What is fitted: named numbers of the parameters, each a coordinate in [0, 1].
 
-Only ratios of the weights matter, for the score is their weighted mean: luminance's
-weight stays 1. The threshold is no coordinate at all: it is solved for the ray budget
+Only ratios of the weights matter, for the score is their weighted mean: the first
+term's weight stays 1. The threshold is no coordinate at all: it is solved for the ray budget
 (`solve`). Positive quantities are laid out in their logarithm; the hold is a whole
 number, rounded, so a search without gradients walks over steps of it.
 
@@ -21,7 +21,7 @@ from ataa_jax import pipeline, segmentation
 from ataa_jax.errors import InputError
 
 _SUFFIX = "_weight"
-FIRST_TERM = "luminance"  # the term whose weight is 1
+PAPER_TERMS = ("luminance", "depth")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,11 +41,28 @@ class Quantity:
         return self.low * jnp.exp(ratio * u)
 
 
-def terms() -> tuple[str, ...]:
+def known_terms() -> tuple[str, ...]:
     """Returns the names of the segmentation's weighted terms, luminance first."""
     names = [field.name for field in dataclasses.fields(segmentation.Params)]
-    found = [name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)]
-    return (FIRST_TERM, *(name for name in found if name != FIRST_TERM))
+    return tuple(n.removesuffix(_SUFFIX) for n in names if n.endswith(_SUFFIX))
+
+
+def switched(
+    config: segmentation.Config, terms: tuple[str, ...]
+) -> segmentation.Config:
+    """Returns the configuration with just these terms on.
+
+    Raises:
+        InputError: none, or an unknown one.
+    """
+    known = known_terms()
+    for term in terms:
+        if term not in known:
+            raise InputError(f"unknown term '{term}'; known are {', '.join(known)}")
+    if not terms:
+        raise InputError(f"a fit needs at least one term of {', '.join(known)}")
+    switches = {f"use_{term}": term in terms for term in known}
+    return dataclasses.replace(config, **switches)
 
 
 def weight(term: str) -> Quantity:
@@ -63,21 +80,26 @@ HOLD = Quantity("segmentation.hold", 0.0, 8.0, "whole")
 BLEND = Quantity("taa.count_limit", 1.0, 16.0)
 TRACED = Quantity("resolve.traced_count", 1.0, 16.0)
 
-WEIGHTS_AND_HISTORY = (*(weight(term) for term in terms()[1:]), RESET, HOLD)
-KNOWN = {q.name: q for q in (*WEIGHTS_AND_HISTORY, BLEND, TRACED)}
+KNOWN = (RESET, HOLD, BLEND, TRACED)
+
+
+def weights(terms: tuple[str, ...]) -> tuple[Quantity, ...]:
+    """Returns the weights to fit: all but the first term's, which stays 1."""
+    return tuple(weight(term) for term in terms[1:])
 
 
 def named(names: Iterable[str]) -> tuple[Quantity, ...]:
-    """Returns quantities by their dotted names.
+    """Returns quantities by their dotted names, weights left out.
 
     Raises:
         InputError: an unknown name.
     """
+    known = {quantity.name: quantity for quantity in KNOWN}
     chosen = tuple(names)
     for name in chosen:
-        if name not in KNOWN:
-            raise InputError(f"'{name}' cannot be fitted; known are {', '.join(KNOWN)}")
-    return tuple(KNOWN[name] for name in chosen)
+        if name not in known:
+            raise InputError(f"'{name}' cannot be fitted; known are {', '.join(known)}")
+    return tuple(known[name] for name in chosen)
 
 
 def place(
@@ -103,14 +125,16 @@ def with_threshold(
     if config.reading == "sum":
         return eqx.tree_at(lambda p: p.segmentation.threshold, params, threshold)
     tiny = 1e-9  # a weight of 0 never fires
-    return eqx.tree_at(
-        lambda p: (p.segmentation.luminance_threshold, p.segmentation.depth_threshold),
-        params,
-        (
-            threshold / jnp.maximum(own.luminance_weight, tiny),
-            threshold / jnp.maximum(own.depth_weight, tiny),
-        ),
-    )
+    for term in known_terms():
+        # Edges between ids are 0 or 1: they have no threshold of their own.
+        if hasattr(own, f"{term}_threshold"):
+            limit = threshold / jnp.maximum(getattr(own, f"{term}{_SUFFIX}"), tiny)
+            params = eqx.tree_at(
+                lambda p, term=term: getattr(p.segmentation, f"{term}_threshold"),
+                params,
+                limit,
+            )
+    return params
 
 
 def free(x: Float[Array, " n"]) -> Float[Array, " n"]:
