@@ -33,7 +33,7 @@ from ataa_jax import color as colors
 from ataa_jax import pipeline, resolve, segmentation, taa
 from ataa_jax.fit import replay
 from ataa_jax.fit.record import Recorded
-from ataa_jax.fit.score import Take
+from ataa_jax.fit.replay import Take
 from ataa_jax.types import METHOD_FXAA, State
 
 TEMPERATURES = (0.5, 0.25, 0.125)

@@ -165,6 +165,34 @@ def replayable(config: pipeline.Config) -> pipeline.Config:
     )
 
 
+class Take(eqx.Module):
+    """A recording's arrays, and what of it is static."""
+
+    frames: Recorded
+    lead_in: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    config: pipeline.Config = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Take":
+        """Returns the recording, ready to be an operand of a compiled program."""
+        return cls(
+            frames=recording.frames,
+            lead_in=recording.lead_in,
+            samples=recording.config.raytrace.samples,
+            config=replayable(recording.config),
+        )
+
+    def under(self, config: segmentation.Config) -> "Take":
+        """Returns the same recording under another `segmentation.Config`."""
+        return Take(
+            frames=self.frames,
+            lead_in=self.lead_in,
+            samples=self.samples,
+            config=replace(self.config, segmentation=config),
+        )
+
+
 def rays_per_pixel(played: Played, recording: Recording) -> float:
     """Returns the mean sparse primary rays a pixel over the scored frames."""
     pixels = recording.size[0] * recording.size[1]

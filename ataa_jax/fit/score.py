@@ -1,9 +1,8 @@
 """The final number: hard mask, closed loop, at the budget, scored by scikit-image."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,35 +11,7 @@ from jaxtyping import Array, Float
 from ataa_jax import metrics, pipeline
 from ataa_jax.errors import InputError
 from ataa_jax.fit import replay, solve, space
-from ataa_jax.fit.record import Recorded, Recording
-
-
-class Take(eqx.Module):
-    """A recording's arrays, and what of it is static."""
-
-    frames: Recorded
-    lead_in: int = eqx.field(static=True)
-    samples: int = eqx.field(static=True)
-    config: pipeline.Config = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, recording: Recording) -> "Take":
-        """Returns the recording, ready to be an operand of a compiled program."""
-        return cls(
-            frames=recording.frames,
-            lead_in=recording.lead_in,
-            samples=recording.config.raytrace.samples,
-            config=replay.replayable(recording.config),
-        )
-
-    def reading(self, config: object) -> "Take":
-        """Returns the same recording under another `segmentation.Config`."""
-        return Take(
-            frames=self.frames,
-            lead_in=self.lead_in,
-            samples=self.samples,
-            config=replace(self.config, segmentation=config),
-        )
+from ataa_jax.fit.replay import Take
 
 
 @dataclass(frozen=True)
@@ -79,14 +50,7 @@ def _played(take: Take, params: pipeline.Params) -> replay.Played:
 def _solved(
     take: Take, params: pipeline.Params, budget: Float[Array, ""]
 ) -> solve.Solved:
-    return solve.threshold(
-        take.frames,
-        params,
-        budget,
-        config=take.config,
-        lead_in=take.lead_in,
-        samples=take.samples,
-    )
+    return solve.threshold((take,), params, budget)
 
 
 def at_budget(take: Take, params: pipeline.Params, budget: float) -> Result:

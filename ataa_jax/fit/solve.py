@@ -5,7 +5,6 @@ is near a line from 4 rays a pixel to a hundredth of one. False position on it, 
 Illinois' halving, keeps the bracket and needs about five replays.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import pipeline
 from ataa_jax.fit import replay, space
-from ataa_jax.fit.record import Recorded
+from ataa_jax.fit.replay import Take
 
 # our choice: a fifth of the 5 % within which budgets count as equal.
 TOLERANCE = 0.01
@@ -41,46 +40,30 @@ class _Search(NamedTuple):
     last_low: Bool[Array, ""]
 
 
-def rays(
-    frames: Recorded,
-    params: pipeline.Params,
-    *,
-    config: pipeline.Config,
-    lead_in: int,
-    samples: int,
-) -> Float[Array, ""]:
+def rays(take: Take, params: pipeline.Params) -> Float[Array, ""]:
     """Returns the mean sparse primary rays a pixel over the scored frames."""
     played = replay.play(
-        frames,
+        take.frames,
         params,
-        config=config,
-        choose=replay.by_criteria(config.segmentation),
+        config=take.config,
+        choose=replay.by_criteria(take.config.segmentation),
         shown=False,
     )
-    pixels = config.raster.size[0] * config.raster.size[1]
-    counts = played.traced_pixels[lead_in:].astype(jnp.float32)
-    return jnp.mean(counts) * (samples / pixels)
+    pixels = take.config.raster.size[0] * take.config.raster.size[1]
+    counts = played.traced_pixels[take.lead_in :].astype(jnp.float32)
+    return jnp.mean(counts) * (take.samples / pixels)
 
 
-@partial(jax.jit, static_argnames=("config", "lead_in", "samples"))
+@jax.jit
 def threshold(
-    frames: Recorded,
-    params: pipeline.Params,
-    budget: Float[Array, ""],
-    *,
-    config: pipeline.Config,
-    lead_in: int,
-    samples: int,
+    takes: tuple[Take, ...], params: pipeline.Params, budget: Float[Array, ""]
 ) -> Solved:
-    """Solves for the threshold that spends a budget.
+    """Solves for the one threshold at which sequences spend a budget in their mean.
 
     Args:
-        frames: the recorded sequence.
+        takes: the recorded sequences.
         params: numbers; their own threshold is not read.
         budget: rays a pixel, above 0.
-        config: `replay.replayable` choices.
-        lead_in: frames that are replayed, not counted.
-        samples: rays a traced pixel.
 
     Returns:
         The threshold nearest to the budget of those tried. Where even the lowest asks
@@ -89,8 +72,11 @@ def threshold(
     goal = jnp.log(budget)
 
     def miss(root: Array) -> tuple[Array, Array]:
-        at = space.with_threshold(params, root * root, config.segmentation)
-        spent = rays(frames, at, config=config, lead_in=lead_in, samples=samples)
+        spent = jnp.float32(0.0)
+        for take in takes:
+            choices = take.config.segmentation
+            at = space.with_threshold(params, root * root, choices)
+            spent += rays(take, at) / len(takes)
         return jnp.log(jnp.maximum(spent, _SMALLEST)) - goal, spent
 
     def unfinished(search: _Search) -> Array:

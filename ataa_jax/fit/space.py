@@ -1,15 +1,16 @@
 """What is fitted: named numbers of the parameters, each a coordinate in [0, 1].
 
 Only ratios of the weights matter, for the score is their weighted mean: the first
-term's weight stays 1. The threshold is no coordinate at all: it is solved for the ray budget
-(`solve`). Positive quantities are laid out in their logarithm; the hold is a whole
-number, rounded, so a search without gradients walks over steps of it.
+term's weight stays 1. The threshold is no coordinate at all: it is solved for the ray
+budget (`solve`). Positive quantities are laid out in their logarithm; the hold is a
+whole number, rounded, so a search without gradients walks over steps of it.
 
 Under the reading "either", term i fires where it passes threshold / wᵢ: the same
 weights, the same single threshold.
 """
 
 import dataclasses
+import math
 from collections.abc import Iterable
 from typing import Literal
 
@@ -135,6 +136,21 @@ def with_threshold(
                 limit,
             )
     return params
+
+
+def coordinates(
+    params: pipeline.Params, space: tuple[Quantity, ...]
+) -> Float[Array, " n"]:
+    """Returns the point of the unit box where parameters lie, limited to it."""
+    found = []
+    for quantity in space:
+        stage, field = quantity.name.split(".")
+        value = float(getattr(getattr(params, stage), field))
+        low, high = quantity.low, quantity.high
+        if quantity.kind == "log":
+            value, low, high = (math.log(max(v, 1e-30)) for v in (value, low, high))
+        found.append(min(max((value - low) / (high - low), 0.0), 1.0))
+    return jnp.asarray(found, jnp.float32)
 
 
 def free(x: Float[Array, " n"]) -> Float[Array, " n"]:
