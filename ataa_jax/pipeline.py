@@ -239,7 +239,7 @@ def antialias(
                 segmentation.segment(
                     state, color, gbuffer, blended.reprojected, params.segmentation,
                     _max_pixels(params.budget, size, config.raytrace.samples),
-                    config=config.segmentation,
+                    config=config.segmentation, blended=blended.color,
                 ),
             )  # fmt: skip
         method, _ = segmentation.unpack_mask(segmented.mask)

@@ -39,6 +39,7 @@ from ataa_jax.types import (
     WHY_OFF_SCREEN,
     WHY_OVER_BUDGET,
     WHY_RESET,
+    WHY_RESPONSE,
     WHY_SPREAD,
     GBuffer,
     Segmentation,
@@ -72,6 +73,7 @@ class Config:
     use_object: bool = False  # another object in the 3×3
     use_material: bool = False  # another material in the 3×3
     use_spread: bool = False  # luminance varies in the 3×3 as it did not before
+    use_response: bool = False  # TAA itself moved far from its history
 
 
 class Params(eqx.Module):
@@ -86,8 +88,10 @@ class Params(eqx.Module):
     object_weight: Float[Array, ""]
     material_weight: Float[Array, ""]
     spread_weight: Float[Array, ""]
+    response_weight: Float[Array, ""]
     normal_threshold: Float[Array, ""]  # reading "either"
     spread_threshold: Float[Array, ""]  # reading "either"
+    response_threshold: Float[Array, ""]  # reading "either"
     luminance_floor: Float[Array, ""]  # tone-mapped luma under which change is noise
     disocclusion_px: Float[Array, ""]  # |m − m′| that says: something else was there
     disocclusion_relative: Float[Array, ""]  # and this share of the longer of the two
@@ -108,8 +112,10 @@ def default_params(
     object_weight: float = 1.0,
     material_weight: float = 1.0,
     spread_weight: float = 1.0,
+    response_weight: float = 1.0,
     normal_threshold: float = 0.1,  # our choice: 18°
     spread_threshold: float = 0.1,  # our choice: as luminance_threshold
+    response_threshold: float = 0.1,  # our choice: as luminance_threshold
     luminance_floor: float = 0.004,  # our choice: one step of an 8-bit linear image
     # our choice: surfaces whose motion agrees within a pixel blur by less than the
     # history's filter does; the relative part forgives what a constant acceleration
@@ -131,8 +137,10 @@ def default_params(
         object_weight=jnp.asarray(object_weight, jnp.float32),
         material_weight=jnp.asarray(material_weight, jnp.float32),
         spread_weight=jnp.asarray(spread_weight, jnp.float32),
+        response_weight=jnp.asarray(response_weight, jnp.float32),
         normal_threshold=jnp.asarray(normal_threshold, jnp.float32),
         spread_threshold=jnp.asarray(spread_threshold, jnp.float32),
+        response_threshold=jnp.asarray(response_threshold, jnp.float32),
         luminance_floor=jnp.asarray(luminance_floor, jnp.float32),
         disocclusion_px=jnp.asarray(disocclusion_px, jnp.float32),
         disocclusion_relative=jnp.asarray(disocclusion_relative, jnp.float32),
@@ -186,6 +194,7 @@ def segment(
     max_pixels: Int[Array, ""],
     *,
     config: Config,
+    blended: Float[Array, "h w 3"] | None = None,
 ) -> tuple[Segmentation, Int[Array, ""]]:
     """Classifies every pixel, then keeps the ray budget.
 
@@ -197,11 +206,14 @@ def segment(
         params: thresholds.
         max_pixels: the most pixels that may be traced, int32.
         config: reading and switches.
+        blended: linear TAA result; only the criterion "response" reads it.
 
     Returns:
         (segmentation within the budget, pixels that asked for rays beyond it).
     """
-    wanted = segmentation(state, color, gbuffer, reprojected, params, config=config)
+    wanted = segmentation(
+        state, color, gbuffer, reprojected, params, config=config, blended=blended
+    )
     return apply_budget(wanted, max_pixels)
 
 
@@ -214,6 +226,7 @@ def segmentation(
     params: Params,
     *,
     config: Config,
+    blended: Float[Array, "h w 3"] | None = None,
 ) -> Segmentation:
     """Classifies every pixel, without a budget; arguments as `segment`'s.
 
@@ -248,8 +261,8 @@ def segmentation(
     reset = (held_frames > 0) & ~(change <= params.reset_px) & ~fxaa
     held = (held_frames > 0) & ~reset & ~fxaa
 
-    criteria = _criteria(color, gbuffer, reprojected, params, config)
-    score, firing_score = _score(criteria, params, config)
+    on = criteria(color, gbuffer, reprojected, blended, params, config)
+    score, firing_score = _score(on, params, config)
     fires = (score > firing_score) & ~fxaa
     score = jnp.where(held, jnp.maximum(score, firing_score), score)
 
@@ -271,7 +284,7 @@ def segmentation(
     )
     zeros = jnp.zeros(new.shape, jnp.float32)
     found: dict[int, Array] = {WHY_LUMINANCE: zeros, WHY_DEPTH: zeros}
-    for each in criteria:
+    for each in on:
         limit = params.threshold if config.reading == "sum" else each.threshold
         why |= _bit(fires & (each.term > limit), each.why)
         found[each.why] = each.term
@@ -284,44 +297,53 @@ def segmentation(
     )
 
 
-class _Criterion(NamedTuple):
+class Criterion(NamedTuple):
     """One term that is switched on, and how it counts."""
 
+    name: str  # as in the names of its weight and its switch
     why: int  # its bit
     term: Float[Array, "h w"]  # in [0, 1]
     weight: Float[Array, ""]
     threshold: Float[Array, ""]  # reading "either"
 
 
-def _criteria(
+def criteria(
     color: Float[Array, "h w 3"],
     gbuffer: GBuffer,
     reprojected: Float[Array, "h w 3"],
+    blended: Float[Array, "h w 3"] | None,
     params: Params,
     config: Config,
-) -> list[_Criterion]:
+) -> list[Criterion]:
     """Returns the terms that the configuration switches on; no other is computed."""
-    p, found = params, []
+    found: list[Criterion] = []
+
+    def add(name: str, why: int, term: Array, threshold: Array) -> None:
+        weight = getattr(params, f"{name}_weight")
+        found.append(Criterion(name, why, term, weight, threshold))
+
+    half = jnp.float32(0.5)  # an edge between ids is 0 or 1
     if config.use_luminance:
-        term = terms.luminance(color, reprojected, p.luminance_floor)
-        limit = p.luminance_threshold
-        found.append(_Criterion(WHY_LUMINANCE, term, p.luminance_weight, limit))
+        term = terms.luminance(color, reprojected, params.luminance_floor)
+        add("luminance", WHY_LUMINANCE, term, params.luminance_threshold)
     if config.use_depth:
         term = terms.depth_edge(gbuffer.depth)
-        found.append(_Criterion(WHY_DEPTH, term, p.depth_weight, p.depth_threshold))
+        add("depth", WHY_DEPTH, term, params.depth_threshold)
     if config.use_normal:
         term = terms.normal_edge(gbuffer.normal)
-        found.append(_Criterion(WHY_NORMAL, term, p.normal_weight, p.normal_threshold))
-    half = jnp.float32(0.5)  # an edge between ids is 0 or 1
+        add("normal", WHY_NORMAL, term, params.normal_threshold)
     if config.use_object:
-        term = terms.id_edge(gbuffer.object)
-        found.append(_Criterion(WHY_OBJECT, term, p.object_weight, half))
+        add("object", WHY_OBJECT, terms.id_edge(gbuffer.object), half)
     if config.use_material:
-        term = terms.id_edge(gbuffer.material)
-        found.append(_Criterion(WHY_MATERIAL, term, p.material_weight, half))
+        add("material", WHY_MATERIAL, terms.id_edge(gbuffer.material), half)
     if config.use_spread:
-        term = terms.spread(color, reprojected, p.luminance_floor)
-        found.append(_Criterion(WHY_SPREAD, term, p.spread_weight, p.spread_threshold))
+        term = terms.spread(color, reprojected, params.luminance_floor)
+        add("spread", WHY_SPREAD, term, params.spread_threshold)
+    if config.use_response:
+        if blended is None:
+            raise ValueError("the criterion 'response' asks for the TAA result")
+        term = terms.response(blended, reprojected)
+        add("response", WHY_RESPONSE, term, params.response_threshold)
     return found
 
 
@@ -371,7 +393,7 @@ def _was_hidden(
 
 
 def _score(
-    criteria: list[_Criterion], params: Params, config: Config
+    on: list[Criterion], params: Params, config: Config
 ) -> tuple[Float[Array, "h w"] | Float[Array, ""], Float[Array, ""]]:
     """Returns (score, the value above which a pixel fires).
 
@@ -382,11 +404,11 @@ def _score(
     zero = jnp.float32(0.0)
     if config.reading == "either":
         least = 1e-6  # a threshold of 0 fires at the smallest change
-        ratios = [c.term / jnp.maximum(c.threshold, least) for c in criteria]
+        ratios = [c.term / jnp.maximum(c.threshold, least) for c in on]
         ratio = reduce(jnp.maximum, ratios, zero)
         return ratio / (1.0 + ratio), jnp.float32(0.5)
-    total = sum((c.weight for c in criteria), zero)
-    weighted = sum((c.weight * c.term for c in criteria), zero)
+    total = sum((c.weight for c in on), zero)
+    weighted = sum((c.weight * c.term for c in on), zero)
     return weighted / jnp.where(total > 0.0, total, 1.0), params.threshold
 
 

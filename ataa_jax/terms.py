@@ -133,3 +133,19 @@ def _mean_and_deviation(
         for other in row:
             total = total + (other - mean) ** 2
     return mean, jnp.sqrt(total * (1.0 / 9.0))
+
+
+def response(
+    blended: Float[Array, "h w 3"], reprojected: Float[Array, "h w 3"]
+) -> Float[Array, "h w"]:
+    """Returns the distance of TAA's result from the history it read, in [0, 1].
+
+    What rectification and the new sample did together, in the colours that are shown:
+    √(mean over the channels of the squared sRGB difference).
+    """
+    now, then = (vector.unstack(colors.display(i)) for i in (blended, reprojected))
+    x, y, z = now.x - then.x, now.y - then.y, now.z - then.z
+    mean = (x * x + y * y + z * z) * (1.0 / 3.0)
+    # The safe-root pattern: both branches have finite gradients.
+    moved = mean > 0.0
+    return jnp.where(moved, jnp.sqrt(jnp.where(moved, mean, 1.0)), 0.0)

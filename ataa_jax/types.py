@@ -34,6 +34,7 @@ WHY_NORMAL = 128  # angle between normals in the 3×3
 WHY_OBJECT = 256  # edge between objects
 WHY_MATERIAL = 512  # edge between materials
 WHY_SPREAD = 1024  # luminance varies in the 3×3 as it did not in the history
+WHY_RESPONSE = 2048  # TAA's result is far from the history it read
 
 NO_TEXTURE = -1
 LIGHT_DIRECTIONAL = 0

@@ -1,0 +1,1 @@
+"""Segmentation thresholds fitted by optimistix against supersampled references."""

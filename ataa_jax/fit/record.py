@@ -1,0 +1,284 @@
+"""Records a sequence once, so that any mask can be replayed without a single ray.
+
+Per frame: the raster sample and its G-buffer, what tracing *every* pixel would give,
+and the supersampled truth. None of it depends on the segmentation, its history or
+TAA's numbers; so `replay` closes the loop over any parameters on these arrays alone.
+
+A frame's record is cached on disk by the content that decides it: a recording that was
+killed goes on where it stopped.
+"""
+
+import hashlib
+import inspect
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ataa_jax import (
+    camera,
+    embree,
+    pipeline,
+    raster,
+    raytrace,
+    reference,
+    sampling,
+    shading,
+    surface,
+    texture,
+    vector,
+)
+from ataa_jax import color as colors
+from ataa_jax.errors import InputError
+from ataa_jax.types import FrameInputs, GBuffer
+from ataa_jax.world import Sequence
+
+# our choice: as in `compare`; the first frame, all of it new, is a case of its own.
+LEAD_IN = 8
+
+# our choice: about 1,000 frames of 320×180; the oldest go first.
+CACHE_LIMIT_BYTES = 4 << 30
+
+Progress = Callable[[str], None]
+
+
+class Recorded(eqx.Module):
+    """One frame's record; a `Recording` stacks them along a leading axis."""
+
+    color: Float[Array, "h w 3"]  # raster's jittered sample, linear
+    gbuffer: GBuffer
+    traced: Float[Array, "h w 3"]  # what tracing gives at every pixel, linear
+    truth: Float[Array, "h w 3"]  # the reference as sRGB; 0 in frames of the lead-in
+    jitter: Float[Array, " 2"]
+    cut: Bool[Array, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A sequence: its first `lead_in` frames warm the history and are not scored."""
+
+    name: str
+    frames: Recorded  # every leaf with a leading axis of all frames
+    lead_in: int
+    config: pipeline.Config
+    params: pipeline.Params  # the preset's: what was drawn with, and fits start from
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Image (height, width)."""
+        return self.config.raster.size
+
+    @property
+    def truth(self) -> np.ndarray:
+        """The reference of the scored frames, sRGB (frames, h, w, 3)."""
+        return np.asarray(self.frames.truth[self.lead_in :])
+
+
+def record(
+    shot: Sequence,
+    *,
+    frames: int = 12,
+    lead_in: int = LEAD_IN,
+    samples: int = 8,
+    reference_samples: int = 64,
+    preset: str = "tuned",
+    progress: Progress = lambda text: None,
+    use_cache: bool = True,
+) -> Recording:
+    """Renders everything about a sequence that does not depend on a mask.
+
+    Args:
+        shot: the world along a path.
+        frames: frames to score, at least 1.
+        lead_in: frames before them.
+        samples: rays a traced pixel: 2, 4 or 8.
+        reference_samples: samples a pixel of the truth.
+        preset: TAA preset, which decides jitter and texture mip bias.
+        progress: told after every frame.
+        use_cache: read and write the cache folder.
+
+    Raises:
+        InputError: no frames, or an unknown preset.
+    """
+    if frames < 1 or lead_in < 0:
+        raise InputError(
+            f"a recording needs at least 1 frame, not {frames}, after a lead-in of at "
+            f"least 0, not {lead_in}"
+        )
+    config, params = pipeline.preset(
+        preset, shot.world.scene, shot.size, samples=samples, budget=float("inf")
+    )
+    jitter = sampling.halton_jitter(
+        config.taa.jitter_length, centred=config.taa.jitter_centred
+    )
+    records = []
+    for index in range(-lead_in, frames):
+        inputs = shot.inputs(index, jitter[(index + lead_in) % len(jitter)])
+        inputs = pipeline.with_cut(inputs, index == -lead_in)
+        spp = reference_samples if index >= 0 else 0
+        file = _file(shot, inputs, config, params, spp)
+        found = _read(file, shot.size) if use_cache else None
+        if found is None:
+            found = _render(shot, index, inputs, config, params, spp, use_cache)
+            if use_cache:
+                _write(file, found)
+        records.append(found)
+        progress(f"recording {shot.world.name}, frame {index + lead_in + 1}")
+    stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *records)
+    return Recording(
+        name=f"{shot.world.name}:{shot.path.name}",
+        frames=stacked,
+        lead_in=lead_in,
+        config=config,
+        params=params,
+    )
+
+
+def _render(
+    shot: Sequence,
+    index: int,
+    inputs: FrameInputs,
+    config: pipeline.Config,
+    params: pipeline.Params,
+    reference_samples: int,
+    use_cache: bool,
+) -> Recorded:
+    world = shot.world
+    drawn = raster.raster(
+        world.scene, inputs, params.raster, tracer=world.tracer, config=config.raster
+    )
+    traced = raytrace.raytrace(
+        world.scene,
+        inputs,
+        jnp.ones(shot.size, bool),
+        tracer=world.tracer,
+        config=config.raytrace,
+    )
+    truth = np.zeros((*shot.size, 3), np.float32)
+    if reference_samples:
+        exact = reference.reference(
+            shot,
+            index,
+            reference_samples,
+            average=config.raytrace.average,
+            use_cache=use_cache,
+        )
+        truth = colors.display(exact.color)
+    return pipeline.to_numpy(
+        Recorded(
+            color=drawn.color,
+            gbuffer=drawn.gbuffer,
+            traced=traced.color,
+            truth=jnp.asarray(truth),
+            jitter=inputs.jitter,
+            cut=inputs.cut,
+        )
+    )
+
+
+@cache
+def _code_hash() -> str:
+    """Hashes the sources that decide a record: an old cache is never believed."""
+    digest = hashlib.blake2b(digest_size=16)
+    modules = (camera, colors, embree, raster, raytrace, sampling, shading, surface)
+    for module in (*modules, texture, vector):
+        file = Path(inspect.getfile(module))
+        parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
+        for part in parts:
+            digest.update(part.read_bytes())
+    digest.update(Path(__file__).read_bytes())
+    return digest.hexdigest()
+
+
+def _file(
+    shot: Sequence,
+    inputs: FrameInputs,
+    config: pipeline.Config,
+    params: pipeline.Params,
+    reference_samples: int,
+) -> Path:
+    digest = hashlib.blake2b(digest_size=20)
+    choices = (shot.size, config.raster, config.raytrace, reference_samples)
+    digest.update(f"{_code_hash()} {choices}".encode())
+    digest.update(shot.world.content_hash.encode())
+    for array in jax.tree.leaves((inputs, params.raster)):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return reference.cache_folder() / "record" / f"{digest.hexdigest()}.npz"
+
+
+def _read(file: Path, size: tuple[int, int]) -> Recorded | None:
+    """Returns a cached record, or None where there is none or it is damaged."""
+    like = jax.eval_shape(partial(_like, size))
+    try:
+        # Opened here: numpy leaves a damaged file open.
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            leaves = [data[name] for name in _names(like)]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    wanted = jax.tree.leaves(like)
+    pairs = zip(leaves, wanted, strict=True)
+    if any(a.shape != b.shape or a.dtype != b.dtype for a, b in pairs):
+        return None
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def _like(size: tuple[int, int]) -> Recorded:
+    """Returns a record of zeros: its tree, shapes and types."""
+
+    def zeros(*shape: int, dtype: Any = jnp.float32) -> Array:
+        return jnp.zeros(shape, dtype)
+
+    image = partial(zeros, *size)
+    return Recorded(
+        color=image(3),
+        gbuffer=GBuffer(
+            depth=image(),
+            motion=image(2),
+            motion_valid=image(dtype=bool),
+            normal=image(3),
+            object=image(dtype=jnp.int32),
+            material=image(dtype=jnp.int32),
+        ),
+        traced=image(3),
+        truth=image(3),
+        jitter=zeros(2),
+        cut=zeros(dtype=bool),
+    )
+
+
+def _names(tree: Recorded) -> list[str]:
+    paths, _ = jax.tree_util.tree_flatten_with_path(tree)
+    return [jax.tree_util.keystr(path).lstrip(".") for path, _ in paths]
+
+
+def _write(file: Path, record: Recorded) -> None:
+    """Writes atomically; a cache that cannot be written is no error."""
+    leaves = dict(zip(_names(record), jax.tree.leaves(record), strict=True))
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+        with os.fdopen(handle, "wb") as stream:
+            np.savez(stream, **leaves)
+        Path(name).replace(file)
+        _prune(file.parent)
+    except OSError:
+        return
+
+
+def _prune(folder: Path) -> None:
+    files = sorted(folder.glob("*.npz"), key=lambda f: f.stat().st_mtime)
+    total = sum(f.stat().st_size for f in files)
+    while files and total > CACHE_LIMIT_BYTES:
+        oldest = files.pop(0)
+        total -= oldest.stat().st_size
+        oldest.unlink(missing_ok=True)

@@ -1,0 +1,207 @@
+"""Closes the loop over a recording: TAA → mask → composite → history, on arrays alone.
+
+`pipeline.antialias` with the tracer replaced by the recorded traced colour, the same
+stages otherwise; frames by `lax.scan`. Who chooses the pixels is open: the
+segmentation's criteria, an oracle, chance.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt
+
+from ataa_jax import color as colors
+from ataa_jax import fxaa, metrics, pipeline, resolve, segmentation, taa
+from ataa_jax.fit.record import Recorded, Recording
+from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
+
+
+class Played(eqx.Module):
+    """What a replay leaves of each frame, stacked along a leading axis."""
+
+    image: Float[Array, "h w 3"]  # sRGB
+    method: UInt[Array, "h w"]  # METHOD_*
+    traced_pixels: Int[Array, ""]
+
+
+# (state, frame, TAA's output, parameters, extra operands) → the pixels' methods.
+Chooser = Callable[
+    [State, Recorded, taa.TaaOutput, pipeline.Params, object], Segmentation
+]
+
+
+def by_criteria(config: segmentation.Config) -> Chooser:
+    """Returns the segmentation stage itself, without a budget, as chooser."""
+    return partial(_by_criteria, config=config)
+
+
+def _by_criteria(
+    state: State,
+    recorded: Recorded,
+    blended: taa.TaaOutput,
+    params: pipeline.Params,
+    extra: object,
+    *,
+    config: segmentation.Config,
+) -> Segmentation:
+    del extra
+    return segmentation.segmentation(
+        state,
+        recorded.color,
+        recorded.gbuffer,
+        blended.reprojected,
+        params.segmentation,
+        config=config,
+        blended=blended.color,
+    )
+
+
+def step(
+    state: State,
+    recorded: Recorded,
+    params: pipeline.Params,
+    extra: object = None,
+    *,
+    config: pipeline.Config,
+    choose: Chooser,
+    shown: bool = True,
+) -> tuple[State, Played]:
+    """Replays one frame, without a budget: the chooser keeps its own.
+
+    Args:
+        state: what the frame before left.
+        recorded: the frame.
+        params: numbers; `budget` is not read.
+        extra: operands of the chooser.
+        config: the stages' choices.
+        choose: says each pixel's method.
+        shown: False leaves out FXAA and the display image, for counts alone.
+    """
+    valid = state.history.valid & ~recorded.cut
+    state = eqx.tree_at(lambda s: s.history.valid, state, valid)
+    blended = taa.taa(
+        state.history,
+        recorded.color,
+        recorded.gbuffer,
+        recorded.jitter,
+        params.taa,
+        config=config.taa,
+    )
+    segmented = choose(state, recorded, blended, params, extra)
+    method, _ = segmentation.unpack_mask(segmented.mask)
+    is_traced = method == METHOD_ATAA
+    resolved = resolve.resolve(
+        segmented,
+        recorded.color,
+        recorded.gbuffer,
+        blended,
+        recorded.traced,
+        params.resolve,
+    )
+    image = resolved.composite
+    if shown:
+        image = fxaa.fxaa_sparse(
+            colors.display(resolved.composite),
+            method == METHOD_FXAA,
+            params.fxaa,
+            config=config.fxaa,
+        )
+    played = Played(
+        image=image if shown else jnp.zeros((0, 0, 3), jnp.float32),
+        method=method if shown else jnp.zeros((0, 0), jnp.uint32),
+        traced_pixels=jnp.sum(is_traced, dtype=jnp.int32),
+    )
+    after = State(history=resolved.history, classification=resolved.classification)
+    return after, played
+
+
+@partial(jax.jit, static_argnames=("config", "choose", "shown"))
+def play(
+    frames: Recorded,
+    params: pipeline.Params,
+    extra: object = None,
+    *,
+    config: pipeline.Config,
+    choose: Chooser,
+    shown: bool = True,
+) -> Played:
+    """Replays a whole sequence from no history; `extra` has a leading frame axis."""
+    body = partial(_scanned, params=params, config=config, choose=choose, shown=shown)
+    start = pipeline.init(config.raster.size)
+    _, played = jax.lax.scan(body, start, (frames, extra))
+    return played
+
+
+def _scanned(
+    state: State,
+    operands: tuple[Recorded, object],
+    *,
+    params: pipeline.Params,
+    config: pipeline.Config,
+    choose: Chooser,
+    shown: bool,
+) -> tuple[State, Played]:
+    recorded, extra = operands
+    return step(
+        state, recorded, params, extra, config=config, choose=choose, shown=shown
+    )
+
+
+def replayable(config: pipeline.Config) -> pipeline.Config:
+    """Returns the configuration with all that a replay does not read set to defaults.
+
+    Sequences of different scenes then share one compiled program.
+    """
+    return pipeline.Config(
+        raster=replace(pipeline.Config().raster, size=config.raster.size),
+        taa=config.taa,
+        segmentation=config.segmentation,
+        fxaa=config.fxaa,
+    )
+
+
+class Take(eqx.Module):
+    """A recording's arrays, and what of it is static."""
+
+    frames: Recorded
+    lead_in: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    config: pipeline.Config = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Take":
+        """Returns the recording, ready to be an operand of a compiled program."""
+        return cls(
+            frames=recording.frames,
+            lead_in=recording.lead_in,
+            samples=recording.config.raytrace.samples,
+            config=replayable(recording.config),
+        )
+
+    def under(self, config: segmentation.Config) -> "Take":
+        """Returns the same recording under another `segmentation.Config`."""
+        return Take(
+            frames=self.frames,
+            lead_in=self.lead_in,
+            samples=self.samples,
+            config=replace(self.config, segmentation=config),
+        )
+
+
+def rays_per_pixel(played: Played, recording: Recording) -> float:
+    """Returns the mean sparse primary rays a pixel over the scored frames."""
+    pixels = recording.size[0] * recording.size[1]
+    traced = np.asarray(played.traced_pixels)[recording.lead_in :]
+    return float(traced.mean()) * recording.config.raytrace.samples / pixels
+
+
+def mean_ssim(played: Played, recording: Recording) -> float:
+    """Returns scikit-image's SSIM, its mean over the scored frames."""
+    images = np.asarray(played.image)[recording.lead_in :]
+    pairs = zip(images, recording.truth, strict=True)
+    return float(np.mean([metrics.ssim(image, truth) for image, truth in pairs]))

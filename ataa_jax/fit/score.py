@@ -1,0 +1,137 @@
+"""The final number: hard mask, closed loop, at the budget, scored by scikit-image."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ataa_jax import metrics, pipeline
+from ataa_jax.errors import InputError
+from ataa_jax.fit import replay, solve, space
+from ataa_jax.fit.replay import Take
+
+
+@dataclass(frozen=True)
+class Result:
+    """One contender on one sequence."""
+
+    ssim: float
+    rays: float  # a pixel
+    threshold: float
+
+
+def check_budget(budget: float, samples: int = 8) -> None:
+    """Refuses budgets that no mask can spend.
+
+    Raises:
+        InputError: not above 0, or above one traced pixel's rays.
+    """
+    if not 0.0 < budget <= samples:
+        raise InputError(
+            f"a fit needs a budget above 0 and at most {samples} rays a pixel, the "
+            f"rays of tracing every pixel, not {budget:g}"
+        )
+
+
+@jax.jit
+def _played(take: Take, params: pipeline.Params) -> replay.Played:
+    return replay.play(
+        take.frames,
+        params,
+        config=take.config,
+        choose=replay.by_criteria(take.config.segmentation),
+    )
+
+
+@jax.jit
+def _solved(
+    take: Take, params: pipeline.Params, budget: Float[Array, ""]
+) -> solve.Solved:
+    return solve.threshold((take,), params, budget)
+
+
+def at_budget(take: Take, params: pipeline.Params, budget: float) -> Result:
+    """Solves the threshold for the budget, and scores what comes of it."""
+    solved = _solved(take, params, jnp.float32(budget))
+    return as_is(take, space.with_threshold(
+        params, solved.threshold, take.config.segmentation
+    ), float(solved.threshold))  # fmt: skip
+
+
+def as_is(
+    take: Take, params: pipeline.Params, threshold: float | None = None
+) -> Result:
+    """Scores parameters untouched, with the rays that they ask for."""
+    played = _played(take, params)
+    if threshold is None:
+        threshold = float(params.segmentation.threshold)
+    return Result(
+        ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
+        rays=_rays(take, played),
+        threshold=threshold,
+    )
+
+
+def chosen(take: Take, params: pipeline.Params, choose: replay.Chooser, extra: object
+) -> Result:  # fmt: skip
+    """Scores another chooser of pixels."""
+    played = replay.play(take.frames, params, extra, config=take.config, choose=choose)
+    return Result(
+        ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
+        rays=_rays(take, played),
+        threshold=float("nan"),
+    )
+
+
+def _truth(take: Take) -> Float[Array, "f h w 3"]:
+    return take.frames.truth[take.lead_in :]
+
+
+def _rays(take: Take, played: replay.Played) -> float:
+    pixels = take.config.raster.size[0] * take.config.raster.size[1]
+    traced = np.asarray(played.traced_pixels)[take.lead_in :]
+    return float(traced.mean()) * take.samples / pixels
+
+
+def _ssim(images: np.ndarray | Array, truths: np.ndarray | Array) -> np.ndarray:
+    """NumPy only: it runs inside callbacks."""
+    pairs = zip(np.asarray(images), np.asarray(truths), strict=True)
+    return np.array([metrics.ssim(a, b) for a, b in pairs], np.float32)
+
+
+def traced_at_budget(
+    take: Take, params: pipeline.Params, budget: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Returns `at_budget`'s SSIM, traceable: scikit-image is a NumPy callback."""
+    solved = _solved(take, params, budget)
+    at = space.with_threshold(params, solved.threshold, take.config.segmentation)
+    images = _played(take, at).image[take.lead_in :]
+    each = jax.pure_callback(
+        _ssim,
+        jax.ShapeDtypeStruct((images.shape[0],), jnp.float32),
+        images,
+        _truth(take),
+        vmap_method="sequential",
+    )
+    return jnp.mean(each)
+
+
+def objective(
+    x: Float[Array, " n"],
+    args: tuple[tuple[Take, ...], pipeline.Params, Float[Array, ""]],
+    *,
+    quantities: tuple[space.Quantity, ...],
+) -> Float[Array, ""]:
+    """Returns 1 − the mean SSIM over sequences, each at the budget by itself."""
+    takes, params, budget = args
+    at = space.place(params, quantities, space.free(x))
+    scores = [traced_at_budget(take, at, budget) for take in takes]
+    return 1.0 - jnp.mean(jnp.stack(scores))
+
+
+def compiled(quantities: tuple[space.Quantity, ...]) -> partial:
+    """Returns the objective for one space."""
+    return partial(objective, quantities=quantities)

@@ -1,0 +1,230 @@
+"""The relaxed fit: Levenberg–Marquardt or BFGS on the soft mask, priced to a budget.
+
+The outer loop is: replay the hard mask at the budget, gather its pixels, fit, replay
+again, until the weights stop changing. Within it the price a ray is moved until the
+soft mask spends the budget: at the optimum the dearest pixel traced is worth its rays.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ataa_jax import pipeline
+from ataa_jax.fit import relaxed, score, space
+from ataa_jax.fit.checkpoint import NOWHERE, Checkpoints
+from ataa_jax.fit.relaxed import Pixels, Soft
+from ataa_jax.fit.replay import Take
+
+Solver = Literal["lm", "bfgs"]
+ROUNDS = 3
+PRICES = 6  # moves of the price a round
+_STEPS = 25
+_FIRST_PRICE = 1e-2
+
+
+@dataclass(frozen=True)
+class SoftFit:
+    """Weights that a relaxed fit found."""
+
+    params: pipeline.Params
+    hard_ssim: float  # closed loop, hard mask, mean over the sequences
+    price: float
+    evaluations: int
+    rounds: int
+
+
+def fit(
+    takes: tuple[Take, ...],
+    params: pipeline.Params,
+    terms: tuple[str, ...],
+    budget: float,
+    *,
+    solver: Solver = "lm",
+    starts: int = 1,
+    seed: int = 0,
+    rounds: int = ROUNDS,
+    checkpoints: Checkpoints = NOWHERE,
+    progress: Callable[[str, int, int], None] = lambda text, done, total: None,
+) -> SoftFit:
+    """Fits the weights of terms; hold and reset stay as given.
+
+    Args:
+        takes: sequences, the terms switched on.
+        params: where to start.
+        terms: names; the first's weight stays 1.
+        budget: rays a pixel.
+        solver: lm on residuals, bfgs on the loss.
+        starts: the first lies at `params`, the others are drawn from the bounds.
+        seed: of the pixels sampled and of the starts.
+        rounds: of replaying, at most.
+        checkpoints: keep the state after every round.
+        progress: told after every round.
+
+    Returns:
+        The best of all rounds by the hard score, the start's own included.
+    """
+    quantities = space.weights(terms)
+    current = jnp.log(_values(params, quantities))
+    # what is kept: weights now, best weights, its score, price, evaluations, round
+    state = (current, current, *(jnp.zeros((), jnp.float32),) * 4)
+    saved = checkpoints.load(f"soft-{solver}", state)
+    if saved is not None:
+        state = jax.tree.map(jnp.asarray, saved)
+    current, best, best_ssim, price, evaluations, done = state
+    price = jnp.where(done > 0, price, _FIRST_PRICE)
+    while int(done) < rounds:
+        at = _with_weights(params, quantities, jnp.exp(current))
+        results = [score.at_budget(take, at, budget) for take in takes]
+        ssim = float(np.mean([each.ssim for each in results]))
+        if ssim > float(best_ssim):
+            best, best_ssim = current, jnp.float32(ssim)
+        own = [
+            space.with_threshold(
+                at, jnp.float32(each.threshold), take.config.segmentation
+            )
+            for each, take in zip(results, takes, strict=True)
+        ]
+        pixels = relaxed.gather(takes, own, terms, seed=seed)
+        middle = float(np.mean(np.log([each.threshold for each in results])))
+        start = jnp.concatenate([current, jnp.full((1,), middle, jnp.float32)])
+        points = _starts(start, quantities, starts if int(done) == 0 else 1, seed)
+        y, price, spent = _priced(points, pixels, budget, float(price), takes, solver)
+        moved = float(jnp.max(jnp.abs(y[:-1] - current), initial=0.0))
+        current = y[:-1]
+        evaluations = evaluations + spent + 1
+        done = done + 1
+        checkpoints.save(
+            f"soft-{solver}",
+            (current, best, best_ssim, jnp.float32(price), evaluations, done),
+        )
+        progress(f"relaxed fit ({solver}), {ssim:.5f}", int(done), rounds)
+        if moved < 0.05:  # our choice: 5 % of a weight
+            break
+    at = _with_weights(params, quantities, jnp.exp(current))
+    last = float(np.mean([score.at_budget(take, at, budget).ssim for take in takes]))
+    if last >= float(best_ssim):
+        best, best_ssim = current, jnp.float32(last)
+    return SoftFit(
+        params=_with_weights(params, quantities, jnp.exp(best)),
+        hard_ssim=float(best_ssim),
+        price=float(price),
+        evaluations=int(evaluations) + 1,
+        rounds=int(done),
+    )
+
+
+def _values(
+    params: pipeline.Params, quantities: tuple[space.Quantity, ...]
+) -> Float[Array, " k"]:
+    found = [
+        getattr(params.segmentation, q.name.removeprefix("segmentation."))
+        for q in quantities
+    ]
+    return jnp.stack(found) if found else jnp.zeros((0,), jnp.float32)
+
+
+def _with_weights(
+    params: pipeline.Params,
+    quantities: tuple[space.Quantity, ...],
+    values: Float[Array, " k"],
+) -> pipeline.Params:
+    for quantity, value in zip(quantities, values, strict=True):
+        field = quantity.name.removeprefix("segmentation.")
+        limited = jnp.clip(value, quantity.low, quantity.high)
+        params = eqx.tree_at(
+            lambda p, field=field: getattr(p.segmentation, field), params, limited
+        )
+    return params
+
+
+def _starts(
+    start: Float[Array, " k"],
+    quantities: tuple[space.Quantity, ...],
+    count: int,
+    seed: int,
+) -> Float[Array, "s k"]:
+    low = np.log([q.low for q in quantities])
+    high = np.log([q.high for q in quantities])
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(low, high, (count - 1, len(quantities)))
+    others = np.concatenate([drawn, np.full((count - 1, 1), start[-1])], axis=1)
+    return jnp.concatenate([start[None], jnp.asarray(others, jnp.float32)])
+
+
+def _priced(
+    points: Float[Array, "s k"],
+    pixels: Pixels,
+    budget: float,
+    price: float,
+    takes: tuple[Take, ...],
+    solver: Solver,
+) -> tuple[Float[Array, " k"], float, int]:
+    """Moves the price until the soft mask spends the budget; anneals on the way.
+
+    Returns:
+        (the best start's point, price, evaluations).
+    """
+    samples = jnp.float32(takes[0].samples)
+    spent, best = 0, points[0]
+    schedule = [
+        *relaxed.TEMPERATURES,
+        *(relaxed.TEMPERATURES[-1],) * (PRICES - len(relaxed.TEMPERATURES)),
+    ]
+    for temperature in schedule:
+        soft = Soft(
+            temperature=jnp.float32(temperature),
+            price=jnp.float32(price),
+            samples=samples,
+        )
+        points, losses, steps = minimise(points, (pixels, soft), solver=solver)
+        each = points.shape[1] + 1 if solver == "lm" else 2
+        spent += each * int(jnp.sum(steps))
+        losses = jnp.where(jnp.isfinite(losses), losses, jnp.inf)
+        best = points[jnp.argmin(losses)]
+        points = best[None]  # the others have done their part
+        # Rays fall about as the price's power of −1; damped, for the mask is soft.
+        ratio = float(relaxed.rays(best, pixels, soft)) / budget
+        price *= float(np.clip(ratio, 0.2, 5.0)) ** 0.8
+    return best, price, spent
+
+
+@eqx.filter_jit
+def minimise(
+    points: Float[Array, "s k"], args: tuple[Pixels, Soft], *, solver: Solver
+) -> tuple[Float[Array, "s k"], Float[Array, " s"], Float[Array, " s"]]:
+    """Runs optimistix from several starts at once.
+
+    Returns:
+        (points, their losses, their steps).
+    """
+
+    def one(y: Float[Array, " k"]) -> tuple[Array, Array, Array]:
+        if solver == "lm":
+            found = optx.least_squares(
+                relaxed.residuals,
+                optx.LevenbergMarquardt(rtol=1e-3, atol=1e-4),
+                y,
+                args,
+                max_steps=_STEPS,
+                throw=False,
+            )
+        else:
+            found = optx.minimise(
+                relaxed.loss,
+                optx.BFGS(rtol=1e-3, atol=1e-5),
+                y,
+                args,
+                max_steps=_STEPS,
+                throw=False,
+            )
+        value = found.value
+        return value, relaxed.loss(value, args), found.stats["num_steps"]
+
+    return jax.vmap(one)(points)
