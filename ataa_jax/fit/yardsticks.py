@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +111,7 @@ def _highest(
     params: pipeline.Params,
     extra: object,
     *,
-    score: Callable[[Recorded, taa.TaaOutput, object], Array],
+    score: Callable[[Recorded, taa.TaaOutput, Any], Array],
     config: segmentation.Config,
     pixels: int,
 ) -> Segmentation:
