@@ -28,8 +28,8 @@ from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
-LEAD_IN, FRAMES = 10, 16  # the lead-in is longer than the longest hold
-HOLDS = (0, 1, 2, 3, 4, 6, 8)
+LEAD_IN, FRAMES = 10, 10  # the lead-in is longer than the longest hold
+HOLDS = (0, 1, 2, 4, 8)
 BUDGETS = (float("inf"), 0.5)
 COLUMNS = (
     *("scene", "motion", "budget", "hold", "changes", "changes_along_motion"),
@@ -121,7 +121,7 @@ def plot(table: list[_Row], names: list[str]) -> None:
             for name, color in zip(names, palette, strict=False):
                 for budget, style in zip(BUDGETS, ("-", "--"), strict=True):
                     y = [
-                        scale * r[column]
+                        scale * float(r[column])
                         for r in table
                         if r[:3] == (name, motion, budget)
                     ]

@@ -1,8 +1,8 @@
 """Do the boundaries between segmented regions flicker, and where does ATAA's gain lie?
 
 Paper, section 3: the quality at traced pixels is "comparable to 8x supersampling
-everywhere; were it not, the boundaries between segmented regions would flicker". Motion
-is typical, 320×180, 8 frames after 8 of lead-in, against 64 samples a pixel. TAA (tuned),
+everywhere; were it not, the boundaries between segmented regions would flicker".
+Typical motion at 320×180, 8 frames after 8 of lead-in, 64 reference samples. TAA,
 ATAA 8x within 0.5 rays a pixel, the same without a budget, and *8x everywhere* (ATAA
 with every pixel traced that is not FXAA's) are looked at in the same regions of the two
 ATAA masks: *border*: within 2 pixels of another class; *changed*: another class than
