@@ -28,7 +28,7 @@ from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
-LEAD_IN, FRAMES = 10, 10  # the lead-in is longer than the longest hold
+LEAD_IN, FRAMES = 9, 8  # the lead-in is longer than the longest hold
 HOLDS = (0, 1, 2, 4, 8)
 BUDGETS = (float("inf"), 0.5)
 COLUMNS = (

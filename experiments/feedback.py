@@ -109,11 +109,11 @@ def plot(table: list[_Row], names: list[str]) -> None:
                     key = (name, preset, motion, feedback)
                     y = [100.0 * r[6] for r in table if r[:4] == key]
                     label = f"{preset}, feedback {feedback}"
-                    panel.plot(y[1:], style, color=palette[preset], label=label)
+                    x = range(1, len(y))  # the first frame is all FXAA's
+                    panel.plot(x, y[1:], style, color=palette[preset], label=label)
             panel.set_title(f"{name}, {motion}", fontsize=9)
-            panel.set_ylim(bottom=0)
             panel.grid(alpha=0.3)
-        axes[1, column].set_xlabel("frame")
+        axes[1, column].set(xlabel="frame", ylim=(0, None))  # shared by the column
     for row in (0, 1):
         axes[row, 0].set_ylabel("pixels traced, %")
     axes[0, 0].legend(fontsize=7)

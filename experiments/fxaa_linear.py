@@ -6,9 +6,10 @@ to 100 % of the pixels at 640×360 and 1280×720: *border* masks are bands at th
 side, as a pan uncovers them, *scattered* ones single pixels at random. The image is a
 frame of the built-in scene, where only some pixels show an edge and get filtered, or
 *noise*, where all do: the worst case. All variants take turns, so that other work on
-the machine falls on all alike; time is the median of the rounds, the least beside it.
-A line a + b · pixels is fitted to the medians by least squares, against the pixels
-asked for and against those of them that show an edge.
+the machine falls on all alike. *cpu* is the processor time of all threads, median of
+the rounds, which other work disturbs less than the clock's; the clock's median and
+least are given beside it. A line a + b · pixels is fitted to cpu by least squares,
+against the pixels asked for and against those of them that show an edge.
 
     python experiments/fxaa_linear.py         # writes results/fxaa_linear.csv, .png
 """
@@ -35,8 +36,8 @@ SIZES = ((360, 640), (720, 1280))
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 COLUMNS = (
     *("size", "image", "mask", "share", "pixels", "edge_pixels"),
-    *("median_ms", "least_ms", "a_ms", "b_ns_per_pixel", "a_over_full", "r2"),
-    "r2_edge_pixels",
+    *("cpu_ms", "median_ms", "least_ms", "a_ms", "b_ns_per_pixel", "a_over_full"),
+    *("r2", "r2_edge_pixels", "r2_median", "r2_least"),
 )
 
 
@@ -50,16 +51,18 @@ class Case:
     needed: jax.Array
     edges: int  # pixels asked for that show an edge
     times_ms: list[float] = field(default_factory=list)
+    cpu_ms: list[float] = field(default_factory=list)
 
     def run(self) -> None:
         """Filters once; the time is until the result is ready."""
-        start = time.perf_counter()
+        start, start_cpu = time.perf_counter(), time.process_time()
         jax.block_until_ready(
             fxaa.fxaa_sparse(
                 self.image, self.needed, fxaa.default_params(), config=fxaa.Config()
             )
         )
         self.times_ms.append(1e3 * (time.perf_counter() - start))
+        self.cpu_ms.append(1e3 * (time.process_time() - start_cpu))
 
 
 def mask(kind: str, share: float, size: tuple[int, int]) -> np.ndarray:
@@ -130,12 +133,13 @@ def fit(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
 def main() -> None:
     """Times everything and writes table and plot."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--rounds", type=int, default=11)
     options = parser.parse_args()
     every = cases()
     for case in every:  # compiles
         case.run()
         case.times_ms.clear()
+        case.cpu_ms.clear()
     for _ in range(options.rounds):
         for case in every:
             case.run()
@@ -146,20 +150,21 @@ def main() -> None:
     for key, members in series.items():
         pixels = np.array([float(c.needed.sum()) for c in members])
         edges = np.array([float(c.edges) for c in members])
+        cpu = np.array([np.median(c.cpu_ms) for c in members])
         medians = np.array([np.median(c.times_ms) for c in members])
-        a, b, r2 = fit(pixels, medians)
-        _, _, r2_edges = fit(edges, medians)
-        full = float(medians[-1])
+        least = np.array([min(c.times_ms) for c in members])
+        a, b, r2 = fit(pixels, cpu)
+        others = [fit(*pair)[2] for pair in ((edges, cpu), (pixels, medians))]
+        others.append(fit(pixels, least)[2])
+        full = float(cpu[-1])
         print(*key, f"a {a:.2f} ms, b {1e6 * b:.1f} ns, full {full:.2f} ms", end=" ")
-        print(
-            f"a/full {a / full:.3f}, R² {r2:.4f}, of edges {r2_edges:.4f}", flush=True
-        )
+        print(f"a/full {a / full:.3f}, R² {r2:.4f}, of edges, median, least", *others)
         for k, case in enumerate(members):
             table.append(
                 (
                     *(*key, case.share, int(pixels[k]), case.edges),
-                    *(float(medians[k]), min(case.times_ms)),
-                    *(a, 1e6 * b, a / full, r2, r2_edges),
+                    *(float(cpu[k]), float(medians[k]), float(least[k])),
+                    *(a, 1e6 * b, a / full, r2, *others),
                 )
             )
     playback.write(playback.RESULTS / "fxaa_linear.csv", COLUMNS, table)
@@ -176,10 +181,14 @@ def plot(series: dict[tuple[str, str, str], list[Case]]) -> None:
             if this != size:
                 continue
             x = 100.0 * np.array([c.share for c in members])
-            y = np.array([np.median(c.times_ms) for c in members])
+            y = np.array([np.median(c.cpu_ms) for c in members])
             style = "o-" if kind == "border" else "x--"
             panel.plot(x, y, style, color=palette[image], label=f"{image}, {kind}")
-        panel.set(title=size, xlabel="pixels asked for, %", ylabel="FXAA, ms (median)")
+        panel.set(
+            title=size,
+            xlabel="pixels asked for, %",
+            ylabel="FXAA, ms of processor time",
+        )
         panel.set_ylim(bottom=0)
         panel.grid(alpha=0.3)
     axes[0].legend(fontsize=8)
