@@ -6,7 +6,7 @@ Typical motion at 320×180, 8 frames after 8 of lead-in, 64 reference samples. T
 ATAA 8x within 0.5 rays a pixel, the same without a budget, and *8x everywhere* (ATAA
 with every pixel traced that is not FXAA's) are looked at in the same regions of the two
 ATAA masks: *border*: within 2 pixels of another class; *changed*: another class than
-the frame before's along motion; *TAA*, *ATAA*, *FXAA*: inside a class, off its border.
+the frame before's along motion; *TAA*, *ATAA*: inside a class, off its border.
 *flicker* is the mean change of colour along motion, whose value in the reference is the
 scene's own; *error flicker* is the change of image − reference along motion, which the
 scene's own change is not part of. The boundaries flicker of themselves if ATAA's
@@ -16,6 +16,14 @@ Squared error, too, is told apart by place: *edges*: another object, or a depth 
 (Sobel term over 0.1), within 1 px in the G-buffer; *surfaces*: the rest of what is not
 sky. Only edges tell of geometric antialiasing; TAA's raster reads filtered mips, traced
 pixels and reference read level 0, so that surfaces tell of mip sharpness as well.
+
+Found: without a budget borders do not flicker of themselves: their error flickers 8 to
+23 % less than under TAA and −5 to +5 % against 8x everywhere; pixels that change class
+flicker 5 to 23 % more than there. The budget costs that: borders +8 to +18 % and changes
++15 to +32 % over 8x everywhere, though 7 to 17 % under TAA, and its scattered pixels
+leave next to no inside of ATAA's class. Of the squared error that ATAA within the budget
+removes from TAA's, edges hold 93, 79 and 94 % (built-in scene, Sponza, ship), surfaces
+6, 21 and 5 %; without a budget surfaces' part of the gain is 16, 38 and 12 %.
 
     python experiments/segment_borders.py     # writes results/segment_borders.csv, .png
 """
@@ -44,7 +52,7 @@ SAMPLES = 64
 NEAR_PX = 2
 DEPTH_EDGE = 0.1  # the segmentation's own threshold of this term alone
 ATAA = {"ataa8": 0.5, "ataa8, no budget": float("inf")}  # rays a pixel
-FLICKER_REGIONS = ("border", "changed", "TAA", "ATAA", "FXAA")
+FLICKER_REGIONS = ("border", "changed", "TAA", "ATAA")
 ERROR_REGIONS = ("edges", "surfaces", "sky")
 COLUMNS = (
     *("scene", "mask_of", "region", "share", "method"),
@@ -102,11 +110,7 @@ def classes(mask: np.ndarray, before: np.ndarray) -> dict[str, np.ndarray]:
     highest = ndimage.maximum_filter(mask, size, mode="nearest")
     border = highest != ndimage.minimum_filter(mask, size, mode="nearest")
     found = {"border": border, "changed": mask != before}
-    for name, method in (
-        ("TAA", types.METHOD_TAA),
-        ("ATAA", types.METHOD_ATAA),
-        ("FXAA", types.METHOD_FXAA),
-    ):
+    for name, method in (("TAA", types.METHOD_TAA), ("ATAA", types.METHOD_ATAA)):
         found[name] = (mask == method) & ~border
     return found
 
