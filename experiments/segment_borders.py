@@ -19,11 +19,11 @@ pixels and reference read level 0, so that surfaces tell of mip sharpness as wel
 
 Found: without a budget borders do not flicker of themselves: their error flickers 8 to
 23 % less than under TAA and −5 to +5 % against 8x everywhere; pixels that change class
-flicker 5 to 23 % more than there. The budget costs that: borders +8 to +18 % and changes
-+15 to +32 % over 8x everywhere, though 7 to 17 % under TAA, and its scattered pixels
-leave next to no inside of ATAA's class. Of the squared error that ATAA within the budget
-removes from TAA's, edges hold 93, 79 and 94 % (built-in scene, Sponza, ship), surfaces
-6, 21 and 5 %; without a budget surfaces' part of the gain is 16, 38 and 12 %.
+flicker 5 to 23 % more than there. With the budget the claim holds against TAA alone (7
+to 17 % less): against 8x everywhere borders flicker 8 to 18 % more, changes 15 to 32 %.
+Of the squared error that ATAA removes from TAA's within the budget, edges hold 93, 79
+and 94 % (built-in scene, Sponza, ship) and surfaces 6, 21 and 5 %; without a budget
+surfaces' part of the gain is 16, 38 and 12 %.
 
     python experiments/segment_borders.py     # writes results/segment_borders.csv, .png
 """
