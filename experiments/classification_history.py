@@ -10,11 +10,12 @@ pixels that, along motion, are traced now and two frames ago but not between, or
 other way round; *per traced*: changes along motion over the share of traced pixels.
 
 Found: without a budget, yes, at a price: from hold 0 to the default 4, changes along
-motion fall by 75 to 88 % with a still camera and by 61 to 77 % in typical motion, blinks
-by 94 % or more; rays a pixel grow by half on the built-in scene and the ship and double
-on Sponza, where, in motion, changes at the same place of the screen grow as well. It
-does not hold within 0.5 rays a pixel: every hold length gives the same mask, for held
-pixels compete at the threshold's score, and those that fire fill the budget alone.
+motion fall by 75 to 88 % with a still camera and 61 to 77 % in typical motion, and
+blinks by 94 % or more; rays a pixel grow by half on the built-in scene and the ship and
+double on Sponza, where, in motion, changes at the same place of the screen grow as
+well. It does not hold within 0.5 rays a pixel: every hold length gives the same mask,
+for held pixels compete at the threshold's score, and those that fire fill the budget
+alone.
 
     python experiments/classification_history.py
         # writes results/classification_history.csv, .png
