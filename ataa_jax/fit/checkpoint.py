@@ -8,7 +8,7 @@ import hashlib
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -54,9 +54,10 @@ class Checkpoints:
         file = self.file(name)
         if file is None:
             return
-        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+        leaves: list[np.ndarray] = [np.asarray(x) for x in jax.tree.leaves(tree)]
         with files.atomic(file) as part, part.open("wb") as stream:
-            np.savez(stream, **{f"leaf{index}": x for index, x in enumerate(leaves)})
+            named: dict[str, Any] = {f"leaf{i}": x for i, x in enumerate(leaves)}
+            np.savez(stream, **named)
 
 
 def hashed(text: str) -> str:

@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +82,7 @@ def gain(
     return jnp.maximum(error(blended.color) - error(recorded.traced), 0.0)
 
 
-def _chance(recorded: Recorded, blended: taa.TaaOutput, extra: Array) -> Array:
+def _chance(recorded: Recorded, blended: taa.TaaOutput, extra: Any) -> Array:
     del blended
     return jax.random.uniform(extra, recorded.gbuffer.depth.shape)
 
