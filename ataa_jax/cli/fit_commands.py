@@ -57,7 +57,7 @@ def fit(
     reading: Annotated[str, typer.Option(help="sum or either.")] = "sum",
     solver: Annotated[str, typer.Option(help="Relaxed: lm, bfgs, none.")] = "lm",
     starts: Annotated[int, typer.Option(help="Starts of the relaxed fit.")] = 1,
-    steps: Annotated[int, typer.Option(help="Of Nelder–Mead; 0: none.")] = 12,
+    steps: Annotated[int, typer.Option(help="Of Nelder–Mead; 0: none.")] = 8,
     taa: Annotated[bool, typer.Option("--taa", help="Also TAA's own numbers.")] = False,
     seed: Annotated[int, typer.Option(help="Of all that is drawn by chance.")] = 0,
     output: ResultFile = Path("params.toml"),

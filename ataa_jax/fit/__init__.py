@@ -13,7 +13,7 @@ from ataa_jax.fit.fitting import (
     checkpoints_of,
     fit,
 )
-from ataa_jax.fit.record import Recording, record
+from ataa_jax.fit.recording import Recording, record
 from ataa_jax.fit.replay import Take
 from ataa_jax.fit.result import export, write
 from ataa_jax.fit.score import check_budget

@@ -21,7 +21,7 @@ from ataa_jax import pipeline, segmentation
 from ataa_jax.errors import InputError
 from ataa_jax.fit import optimize, score, soft, solve, space, yardsticks
 from ataa_jax.fit.checkpoint import NOWHERE, Checkpoints
-from ataa_jax.fit.record import Recording
+from ataa_jax.fit.recording import Recording
 from ataa_jax.fit.replay import Take
 from ataa_jax.metrics import SSIM_MIN_SIZE
 
@@ -41,7 +41,7 @@ class Options:
     reading: Literal["sum", "either"] = "sum"
     solver: Literal["lm", "bfgs", "none"] = "lm"  # of the relaxed fit
     starts: int = 1  # of the relaxed fit
-    steps: int = 12  # of Nelder–Mead; 0: none
+    steps: int = 8  # of Nelder–Mead; 0: none
     seed: int = 0
 
 
@@ -277,6 +277,7 @@ def checkpoints_of(
     for each in recordings:
         for leaf in jax.tree.leaves((each.frames, each.params)):
             digest.update(np.ascontiguousarray(leaf).view(np.uint8).data)
+        digest.update(str(each.lead_in).encode())
     key = f"{digest.hexdigest()} {options} {versions()}"
     return Checkpoints(folder=folder, key=key)
 
