@@ -67,6 +67,8 @@ def prepare(
         _, numbers = pipeline.preset("tuned", None, capture.size, budget=given_budget)
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
+        own = pipeline.Config().segmentation
+        options["segmentation"] = parameters.choices(table, own, where)
         if budget is None:
             given_budget = float(options["params"].budget)
     options |= {

@@ -10,9 +10,15 @@ stages, keys the fields of their `Params`:
 
     [segmentation]
     threshold = 0.08
+
+    [choices.segmentation] # switches of its `Config`
+    use_response = true
+
+    [fit]                  # where the numbers come from; not read
 """
 
 import tomllib
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
-from ataa_jax import files
+from ataa_jax import files, pipeline, segmentation
 from ataa_jax.errors import InputError
 from ataa_jax.pipeline import Params
 
@@ -68,20 +74,83 @@ def override(params: Params, table: dict[str, Any], where: str) -> Params:
         InputError: an unknown name, or something else than finite numbers of the
             parameter's shape (`budget` may be inf).
     """
-    return _override(params, table, where, "")
+    numbers = {name: value for name, value in table.items() if name not in _OTHER}
+    return _override(params, numbers, where, "")
+
+
+def choices(
+    table: dict[str, Any], config: segmentation.Config, where: str
+) -> segmentation.Config:
+    """Returns the segmentation's choices with a table's in place of the given ones.
+
+    Raises:
+        InputError: an unknown name, or something else than the choice's values.
+    """
+    stages = table.get("choices", {})
+    if not isinstance(stages, dict) or set(stages) - {"segmentation"}:
+        raise InputError(f"{where}: 'choices' must be [choices.segmentation]")
+    given = stages.get("segmentation", {})
+    if not isinstance(given, dict):
+        raise InputError(f"{where}: 'choices.segmentation' must be a table")
+    known = switches(config)
+    for name, value in given.items():
+        full = f"choices.segmentation.{name}"
+        if name not in known:
+            raise InputError(
+                f"{where} has the unknown key '{full}'; known are {', '.join(known)}"
+            )
+        allowed = _TEXTS.get(name, (True, False))
+        if type(value) is not type(allowed[0]) or value not in allowed:
+            words = ", ".join(str(word).lower() for word in allowed)
+            raise InputError(f"{where}: '{full}' must be one of {words}, not {value!r}")
+    return replace(config, **given)
+
+
+def switches(config: segmentation.Config) -> dict[str, Any]:
+    """Returns the segmentation's choices by name."""
+    return asdict(config)
+
+
+def segmentation_of(
+    table: dict[str, Any], where: str
+) -> tuple[segmentation.Params, segmentation.Config]:
+    """Returns the segmentation stage that a file's tables describe.
+
+    Raises:
+        InputError: see `override` and `choices`.
+    """
+    config = pipeline.Config().segmentation
+    _, params = pipeline.preset("tuned", None, (1, 1))
+    return (
+        override(params, table, where).segmentation,
+        choices(table, config, where),
+    )
+
+
+# Tables that hold no numbers: switches, and where a fit's numbers come from.
+_OTHER = ("choices", "fit")
+_TEXTS: dict[str, tuple[str, ...]] = {
+    "reading": ("sum", "either"),
+    "disocclusion": ("pixel", "neighbourhood"),
+}
 
 
 def save(params: Params, file: Path) -> None:
     """Writes every parameter, so that `load` gives back the same bits."""
-    files.write_text(file, tomli_w.dumps(_table(params)))
+    files.write_text(file, tomli_w.dumps(table(params)))
 
 
-def _table(module: eqx.Module) -> dict[str, Any]:
+def plain(module: eqx.Module) -> dict[str, Any]:
+    """Returns a stage's parameters as plain numbers."""
+    return table(module)
+
+
+def table(module: eqx.Module) -> dict[str, Any]:
     """Returns a module as nested tables; numbers come before tables, as TOML asks."""
     leaves, tables = {}, {}
     for name, value in _fields(module).items():
         if isinstance(value, eqx.Module):
-            tables[name] = _table(value)
+            tables[name] = table(value)
         else:
             leaves[name] = _plain(np.asarray(value))
     return {**leaves, **tables}

@@ -7,7 +7,8 @@ import pytest
 
 from ataa_jax import pipeline, world
 from ataa_jax.errors import InputError
-from ataa_jax.fit import record, replay
+from ataa_jax.fit import recording as record
+from ataa_jax.fit import replay
 from ataa_jax.types import METHOD_ATAA
 
 SIZE = (45, 80)

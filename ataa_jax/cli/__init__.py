@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from ataa_jax import capture_commands
-from ataa_jax.cli import given, terminal
+from ataa_jax.cli import fit_commands, given, terminal
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -211,6 +211,10 @@ def check(
     raise typer.Exit(capture_commands.check_folder(str(capture)))
 
 
+app.command(name="fit")(fit_commands.fit)
+app.command(name="export")(fit_commands.export)
+
+
 @app.command()
 def bench(
     scene: given.Scene,
@@ -339,6 +343,8 @@ def _prepare(
         _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
+        own = pipeline.Config().segmentation
+        options["segmentation"] = parameters.choices(table, own, where)
         if asked is None:  # the file's budget counts, but the command line wins
             budget = float(options["params"].budget)
     options["budget"] = budget

@@ -54,7 +54,7 @@ class Checkpoints:
         file = self.file(name)
         if file is None:
             return
-        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+        leaves: list[np.ndarray] = [np.asarray(x) for x in jax.tree.leaves(tree)]
         with files.atomic(file) as part, part.open("wb") as stream:
             np.savez(stream, *leaves)  # named arr_0, arr_1, …
 

@@ -32,7 +32,7 @@ from scipy.ndimage import gaussian_filter
 from ataa_jax import color as colors
 from ataa_jax import pipeline, resolve, segmentation, taa
 from ataa_jax.fit import replay
-from ataa_jax.fit.record import Recorded
+from ataa_jax.fit.recording import Recorded
 from ataa_jax.fit.replay import Take
 from ataa_jax.types import METHOD_FXAA, State
 
@@ -200,3 +200,49 @@ def loss(y: Float[Array, " k"], args: tuple[Pixels, Soft]) -> Float[Array, ""]:
     p = mask(y, pixels, soft.temperature)
     error = pixels.base + p * (2.0 * pixels.cross + p * pixels.gain)
     return jnp.mean(error) + soft.price * soft.samples * jnp.mean(p)
+
+
+def at_budget(
+    params: pipeline.Params,
+    pixels: Pixels,
+    names: tuple[str, ...],
+    budget: float,
+    *,
+    temperature: float = TEMPERATURES[-1],
+    samples: int = 8,
+) -> float:
+    """Returns the loss without a price, its threshold solved for the soft mask's rays.
+
+    Args:
+        params: give the weights.
+        pixels: what `gather` found.
+        names: the terms.
+        budget: rays a pixel.
+        temperature: of the mask.
+        samples: rays a traced pixel.
+    """
+    own = params.segmentation
+    values = [getattr(own, f"{name}_weight") for name in names]
+    weights = jnp.log(jnp.stack(values[1:]) / values[0]) if names[1:] else jnp.zeros(0)
+    soft = Soft(
+        temperature=jnp.float32(temperature),
+        price=jnp.float32(0.0),
+        samples=jnp.float32(samples),
+    )
+    return float(_loss_at_budget(weights, pixels, soft, jnp.float32(budget)))
+
+
+@jax.jit
+def _loss_at_budget(
+    weights: Float[Array, " k"], pixels: Pixels, soft: Soft, budget: Float[Array, ""]
+) -> Float[Array, ""]:
+    def refine(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        middle = 0.5 * (low + high)
+        dear = rays(jnp.append(weights, middle), pixels, soft) > budget
+        return jnp.where(dear, middle, low), jnp.where(dear, high, middle)
+
+    # Log thresholds; 30 halvings of a range of 16 are below float32's step.
+    bounds = (jnp.float32(-14.0), jnp.float32(2.0))
+    low, high = jax.lax.fori_loop(0, 30, refine, bounds)
+    return loss(jnp.append(weights, 0.5 * (low + high)), (pixels, soft))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, UInt
 
 from ataa_jax import color as colors
 from ataa_jax import fxaa, metrics, pipeline, resolve, segmentation, taa
-from ataa_jax.fit.record import Recorded, Recording
+from ataa_jax.fit.recording import Recorded, Recording
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ataa_jax import color as colors
 from ataa_jax import pipeline, segmentation, taa
 from ataa_jax.fit import score, space
-from ataa_jax.fit.record import Recorded
+from ataa_jax.fit.recording import Recorded
 from ataa_jax.fit.replay import Take
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
 
@@ -82,7 +82,7 @@ def gain(
     return jnp.maximum(error(blended.color) - error(recorded.traced), 0.0)
 
 
-def _chance(recorded: Recorded, blended: taa.TaaOutput, extra: Array) -> Array:
+def _chance(recorded: Recorded, blended: taa.TaaOutput, extra: Any) -> Array:
     del blended
     return jax.random.uniform(extra, recorded.gbuffer.depth.shape)
 

@@ -1,0 +1,190 @@
+"""The command line's part for fits: `ataa fit` and `ataa export`."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from ataa_jax.cli import given, terminal
+from ataa_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from ataa_jax.fit import Fitted, Recording, Standing
+
+Scenes = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="SCENE…",
+        help="What to fit to: files or the word 'builtin', each with a camera path "
+        "after an @ if not a walk, such as sponza.glb@pan.",
+    ),
+]
+FitBudget = Annotated[
+    float, typer.Option(metavar="RAYS_PER_PIXEL", help="Sparse rays a pixel to spend.")
+]
+Held = Annotated[
+    list[str] | None,
+    typer.Option("--holdout", metavar="SCENE", help="Scored, not fitted; repeatable."),
+]
+ResultFile = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="The parameters, TOML.")
+]
+Terms = Annotated[
+    str,
+    typer.Option(
+        metavar="NAMES", help="Criteria to weigh, with commas; the first weighs 1."
+    ),
+]
+_HEADS = (
+    "scene", "TAA", "random", "equal", "fitted", "oracle", "efficiency", "closed",
+    "rays/px", "carried",
+)  # fmt: skip
+
+
+def fit(
+    scene: Scenes,
+    budget: FitBudget = 0.5,
+    holdout: Held = None,
+    size: given.Size = "320x180",
+    frames: given.Frames = 12,
+    lead_in: given.LeadIn = 8,
+    reference_samples: given.ReferenceSamples = 64,
+    motion: given.Motion = None,
+    terms: Terms = "luminance,depth,response",
+    reading: Annotated[str, typer.Option(help="sum or either.")] = "sum",
+    solver: Annotated[str, typer.Option(help="Relaxed: lm, bfgs, none.")] = "lm",
+    starts: Annotated[int, typer.Option(help="Starts of the relaxed fit.")] = 1,
+    steps: Annotated[int, typer.Option(help="Of Nelder–Mead; 0: none.")] = 8,
+    taa: Annotated[bool, typer.Option("--taa", help="Also TAA's own numbers.")] = False,
+    seed: Annotated[int, typer.Option(help="Of all that is drawn by chance.")] = 0,
+    output: ResultFile = Path("params.toml"),
+    traceback: given.Traceback = False,
+) -> None:
+    """Fits the segmentation's weights and threshold to a ray budget."""
+    extent = given.size_of(size)
+    given.at_least("--frames", frames, 1)
+    given.at_least("--lead-in", lead_in, 0)
+    given.at_least("--reference-samples", reference_samples, 1)
+    given.at_least("--starts", starts, 1)
+    given.at_least("--steps", steps, 0)
+    for name, value, known in (
+        ("--reading", reading, ("sum", "either")),
+        ("--solver", solver, ("lm", "bfgs", "none")),
+    ):
+        if value not in known:
+            raise InputError(f"{name} must be one of {', '.join(known)}, not '{value}'")
+    if output.suffix.lower() != ".toml":
+        raise InputError(f"--output must be a .toml file, not '{output}'")
+    from ataa_jax import fit as fits
+    from ataa_jax import reference
+
+    fits.check_budget(budget)
+    also = ("taa.count_limit", "resolve.traced_count") if taa else ()
+    options = fits.Options(
+        budget=budget,
+        terms=tuple(term.strip() for term in terms.split(",") if term.strip()),
+        quantities=(*fits.Options().quantities, *also),
+        reading=reading,  # pyright: ignore[reportArgumentType]
+        solver=solver,  # pyright: ignore[reportArgumentType]
+        starts=starts,
+        steps=steps,
+        seed=seed,
+    )
+    fits.check_options(options)
+    with terminal.progress() as report:
+        done, total = 0, (len(scene) + len(holdout or ())) * (frames + lead_in)
+
+        def step(text: str) -> None:
+            nonlocal done
+            done += 1
+            report(text, done, total)
+
+        recorded, hashes = [], {}
+        for text in (*scene, *(holdout or ())):
+            report(f"loading {text}", done, total)
+            made, content = _record(
+                text, motion, extent, (frames, lead_in, reference_samples), step
+            )
+            recorded.append(made)
+            hashes[made.name] = content
+        seen, unseen = recorded[: len(scene)], recorded[len(scene) :]
+        kept = fits.checkpoints_of(seen, options, reference.cache_folder() / "fit")
+        found = fits.fit(
+            seen, options, held_out=unseen, checkpoints=kept, progress=report
+        )
+    fits.write(found, hashes, output)
+    _show(found, output)
+
+
+def _record(
+    text: str,
+    motion: str | None,
+    extent: tuple[int, int],
+    counts: tuple[int, int, int],
+    step: Callable[[str], None],
+) -> tuple["Recording", str]:
+    from ataa_jax import fit as fits
+    from ataa_jax import paths
+    from ataa_jax import world as worlds
+
+    scene, _, camera = text.partition("@")
+    source = worlds.read(scene)
+    known = [each.name for each in source.cameras]
+    path = paths.load(camera or "walk", motion, known)
+    world = worlds.prepare(source, camera=path.camera)
+    shot = worlds.sequence(world, path, extent)
+    frames, lead_in, samples = counts
+    made = fits.record(
+        shot,
+        frames=frames,
+        lead_in=lead_in,
+        reference_samples=samples,
+        progress=step,
+    )
+    return made, world.content_hash
+
+
+def _show(found: "Fitted", output: Path) -> None:
+    console = Console(soft_wrap=True, highlight=False)
+    rows = [_row(each, "") for each in found.standings]
+    rows += [_row(each, " (held out)") for each in found.held_out]
+    right = tuple(range(1, len(_HEADS)))
+    console.print(terminal.table(_HEADS, rows, right=right))
+    terminal.notes(console, found.notes)
+    console.print(f"\nWrote {output}; use it with --params", markup=False)
+
+
+def _row(standing: "Standing", suffix: str) -> tuple[str, ...]:
+    s = standing
+    scores = (s.taa, s.random, s.equal, s.fitted, s.oracle)
+    return (
+        s.scene + suffix,
+        *(f"{value:.4f}" for value in scores),
+        f"{s.efficiency:.2f}",
+        f"{s.closed:.2f}",
+        f"{s.rays:.3f}",
+        f"{s.carried:.4f} at {s.carried_rays:.2f}",
+    )
+
+
+def export(
+    params: Annotated[Path, typer.Argument(metavar="PARAMS", help="A TOML file.")],
+    to: Annotated[str, typer.Option("--to", help="hlsl, glsl or json.")] = "hlsl",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="In place of the screen."),
+    ] = None,
+    traceback: given.Traceback = False,
+) -> None:
+    """Writes fitted numbers as constants for an engine."""
+    from ataa_jax import files, parameters
+    from ataa_jax import fit as fits
+
+    text = fits.export(parameters.read(params), to, params.name)
+    if output is None:
+        sys.stdout.write(text)
+    else:
+        files.write_text(output, text)
