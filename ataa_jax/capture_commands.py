@@ -50,6 +50,10 @@ def prepare(
         raise InputError(
             "a capture has its own camera; leave out --camera and --motion"
         )
+    if options.pop("effects", None) is not None:
+        raise InputError(
+            "a capture holds the effects that its engine drew; leave out --effects"
+        )
     report = check.check(captures.load(scene))
     check.refuse(report)
     capture = report.capture
