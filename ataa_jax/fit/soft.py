@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ataa_jax import pipeline
 from ataa_jax.fit import relaxed, score, space
@@ -198,7 +198,7 @@ def _priced(
 @eqx.filter_jit
 def minimise(
     points: Float[Array, "s k"], args: tuple[Pixels, Soft], *, solver: Solver
-) -> tuple[Float[Array, "s k"], Float[Array, " s"], Float[Array, " s"]]:
+) -> tuple[Float[Array, "s k"], Float[Array, " s"], Int[Array, " s"]]:
     """Runs optimistix from several starts at once.
 
     Returns:
