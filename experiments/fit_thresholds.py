@@ -24,9 +24,10 @@ import numpy as np
 import scenes
 from scipy.stats import spearmanr
 
+from ataa_jax import files, parameters, pipeline, reference
 from ataa_jax import fit as fits
-from ataa_jax import reference
 from ataa_jax import world as worlds
+from ataa_jax.fit import attribution as attribution_of
 from ataa_jax.fit import optimize, relaxed, result, score, space, yardsticks
 
 RESULTS = Path(__file__).parent / "results"
@@ -140,8 +141,47 @@ def rank(names: list[str], draws: int = 40) -> None:
             hard.append(1.0 - score.at_budget(take, own, BUDGET).ssim)
             soft.append(relaxed.at_budget(own, pixels, OPTIONS.terms, BUDGET))
             rows.append((name, soft[-1], hard[-1]))
-        print(name, spearmanr(soft, hard).statistic, flush=True)
+        print(name, spearmanr(soft, hard)[0], flush=True)
     write("fit_rank.csv", ("scene", "relaxed", "hard"), rows)
+
+
+def attribution(names: list[str]) -> None:
+    """What each criterion is worth alone, and what is lost without it."""
+    rows, pictures = [], {}
+    for name in names:
+        made = recording(name)
+        plain = fits.Take.of(made)
+        params = parameters.load(FITTED, made.params)
+        terms = OPTIONS.terms
+        cases: dict[str, tuple[tuple[str, ...], pipeline.Params]] = {
+            "paper, equal weights": (space.PAPER_TERMS, made.params),
+            "fitted": (terms, params),
+            **{f"{term} alone": ((term,), params) for term in terms},
+            **{
+                f"without {term}": (tuple(t for t in terms if t != term), params)
+                for term in terms
+            },
+        }
+        for label, (on, own) in cases.items():
+            take = plain.under(space.switched(plain.config.segmentation, on))
+            found = score.at_budget(take, own, BUDGET)
+            at = space.with_threshold(
+                own, jnp.float32(found.threshold), take.config.segmentation
+            )
+            bought = attribution_of.bought(take, at, on)
+            rows.append(
+                (name, label, found.ssim, bought.removed_per_ray, bought.missed,
+                 bought.wasted, found.rays)
+            )  # fmt: skip
+            print(*rows[-1], flush=True)
+            if name == worlds.BUILTIN and label in ("paper, equal weights", "fitted"):
+                pictures[label] = attribution_of.picture(take, at, on, FRAMES // 2)
+    head = (
+        "scene", "criteria", "ssim", "removed_per_ray", "missed", "wasted", "rays",
+    )  # fmt: skip
+    write("fit_attribution.csv", head, rows)
+    both = np.concatenate([pictures["paper, equal weights"], pictures["fitted"]], 1)
+    files.write_png(RESULTS / "fit_attribution.png", both)
 
 
 def grid(names: list[str]) -> None:
@@ -175,6 +215,7 @@ PARTS = {
     "fitted": fitted,
     "held_out": held_out,
     "paths": paths,
+    "attribution": attribution,
     "rank": rank,
     "grid": grid,
 }

@@ -80,7 +80,8 @@ class Fitted:
     options: Options
     size: tuple[int, int]
     frames: int
-    evaluations: int
+    evaluations: int  # of the closed loop
+    relaxed_evaluations: int  # of the relaxed loss: values, gradients, columns
     standings: list[Standing]
     held_out: list[Standing] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -159,7 +160,7 @@ def fit(
     quantities = (*space.weights(options.terms), *space.named(options.quantities))
     takes = tuple(Take.of(each) for each in recordings)
     on = tuple(take.under(config) for take in takes)
-    notes, evaluations, params = [], 0, start
+    notes, params, evaluations = [], start, (0, 0)
 
     progress("yardsticks", 0, 1)
     bases = [_yardsticks(take, start, options) for take in takes]
@@ -192,7 +193,8 @@ def fit(
         options=options,
         size=recordings[0].size,
         frames=len(recordings[0].truth),
-        evaluations=evaluations,
+        evaluations=evaluations[0],
+        relaxed_evaluations=evaluations[1],
         standings=standings[: len(recordings)],
         held_out=standings[len(recordings) :],
         notes=notes,
@@ -206,8 +208,9 @@ def _search(
     quantities: tuple[space.Quantity, ...],
     checkpoints: Checkpoints,
     progress: Progress,
-) -> tuple[pipeline.Params, int]:
-    params, evaluations = start, 0
+) -> tuple[pipeline.Params, tuple[int, int]]:
+    """Returns parameters, and evaluations of the closed loop and the relaxed loss."""
+    params, hard, relaxed = start, 0, 0
     holds = space.HOLD in quantities
     if options.solver != "none" and len(options.terms) > 1:
         base = space.place(start, (space.HOLD,), jnp.zeros(1)) if holds else start
@@ -222,7 +225,8 @@ def _search(
             checkpoints=checkpoints,
             progress=progress,
         )
-        params, evaluations = found.params, found.evaluations
+        params = found.params
+        hard, relaxed = found.hard_evaluations, found.evaluations
     if options.steps and quantities:
         closed = optimize.nelder_mead(
             score.compiled(quantities),
@@ -232,9 +236,9 @@ def _search(
             checkpoints=checkpoints,
             progress=progress,
         )
-        evaluations += closed.evaluations
+        hard += closed.evaluations
         params = space.place(params, quantities, space.free(jnp.asarray(closed.x)))
-    return params, evaluations
+    return params, (hard, relaxed)
 
 
 def _yardsticks(
