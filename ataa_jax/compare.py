@@ -67,7 +67,7 @@ class Options:
     average: colors.Average = "tonemap"
     methods: tuple[str, ...] = tuple(METHODS)
     params: pipeline.Params | None = None  # overrides the tuned preset's numbers
-    segmentation: segmentation.Config | None = None  # and its segmentation's choices
+    choices: segmentation.Config | None = None  # and its segmentation's choices
 
 
 @dataclass(frozen=True)
@@ -382,8 +382,8 @@ class _Adaptive(Runner):
         )
         if options.params is not None and preset == "tuned":
             self.params = pipeline.with_budget(options.params, budget)
-        if options.segmentation is not None and preset == "tuned":
-            self.config = replace(self.config, segmentation=options.segmentation)
+        if options.choices is not None and preset == "tuned":
+            self.config = replace(self.config, segmentation=options.choices)
         if samples is None:
             self.config = replace(self.config, adaptive=False)
         self.samples = samples

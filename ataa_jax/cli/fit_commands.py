@@ -38,10 +38,7 @@ Terms = Annotated[
         metavar="NAMES", help="Criteria to weigh, with commas; the first weighs 1."
     ),
 ]
-_HEADS = (
-    "scene", "TAA", "random", "equal", "fitted", "oracle", "efficiency", "closed",
-    "rays/px", "carried",
-)  # fmt: skip
+_HEADS = ("scene", "TAA", "random", "equal", "fitted", "oracle", "closed", "carried")
 
 
 def fit(
