@@ -79,6 +79,7 @@ def fit(
     from ataa_jax import reference
 
     fits.check_budget(budget)
+    fits.check_size(extent)
     also = ("taa.count_limit", "resolve.traced_count") if taa else ()
     options = fits.Options(
         budget=budget,

@@ -99,11 +99,7 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
     first = recordings[0]
     samples = first.config.raytrace.samples
     score.check_budget(options.budget, samples)
-    if min(first.size) < SSIM_MIN_SIZE:
-        raise InputError(
-            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give a larger --size "
-            f"than {first.size[1]}x{first.size[0]}"
-        )
+    check_size(first.size)
     for each in recordings:
         if each.size != first.size or each.config.raytrace.samples != samples:
             raise InputError(
@@ -117,6 +113,19 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
                 f"the reference of {each.name} is of shape {shape}, its frames of "
                 f"{tuple(each.frames.color.shape)}; render it at the same size"
             )
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Refuses images that SSIM is not defined for.
+
+    Raises:
+        InputError: fewer than 11 pixels a side.
+    """
+    if min(size) < SSIM_MIN_SIZE:
+        raise InputError(
+            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give a larger --size "
+            f"than {size[1]}x{size[0]}"
+        )
 
 
 def check_options(options: Options) -> None:
