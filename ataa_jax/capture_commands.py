@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import compare
+    from ataa_jax import methods
     from ataa_jax.capture import Capture
 
 
@@ -28,7 +28,7 @@ def prepare(
     params: Path | None,
     names: tuple[str, ...],
     options: dict[str, Any],
-) -> tuple["Capture", "compare.Options"]:
+) -> tuple["Capture", "methods.Options"]:
     """Loads a capture, and checks it before it is believed.
 
     Args:
@@ -37,13 +37,13 @@ def prepare(
         motion: likewise.
         params: file with numbers in place of the tuned preset's.
         names: methods that will run.
-        options: of `compare.Options`.
+        options: of `methods.Options`.
 
     Raises:
         InputError: no capture, or one that contradicts itself.
     """
     from ataa_jax import capture as captures
-    from ataa_jax import compare, parameters, pipeline
+    from ataa_jax import methods, parameters, pipeline
     from ataa_jax.capture import check
 
     if camera is not None or motion is not None:
@@ -81,13 +81,13 @@ def prepare(
     if names:
         options["methods"] = names
     elif "methods" not in options:
-        options["methods"] = compare.captured_methods(capture)
+        options["methods"] = methods.captured_methods(capture)
     found = [f"{f.severity}: {f.sentence}" for f in report.findings]
     notes = [*capture.notes, *found, *_rays(capture, options["methods"])]
     if "center" not in capture.frames[0].layers:
         notes.append("the capture has no sample at the pixel centre: No AA and FXAA "
                      "show its jittered frames")  # fmt: skip
-    return replace(capture, notes=notes), compare.Options(**options)
+    return replace(capture, notes=notes), methods.Options(**options)
 
 
 def _rays(capture: "Capture", methods: tuple[str, ...]) -> list[str]:

@@ -5,69 +5,30 @@ all else is a function of the input.
 """
 
 import sys
-import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import psutil
 
 from ataa_jax import color as colors
-from ataa_jax import (
-    effects,
-    fxaa,
-    metrics,
-    pipeline,
-    raster,
-    reference,
-    sampling,
-    segmentation,
-)
+from ataa_jax import metrics, pipeline, reference
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
-from ataa_jax.raster import RasterOutput
-from ataa_jax.types import FrameInputs, Scene, State
-from ataa_jax.world import Sequence
+from ataa_jax.methods import (
+    Drawer,
+    Options,
+    Runner,
+    Source,
+    check_methods,
+    effects_of,
+    runner,
+    scene_of,
+)
 
-# What a method runs over: a world along a path, or frames that an engine rendered.
-Source = Sequence | Capture
-
-# Method name → label of its row, in the order of the table.
-METHODS: dict[str, str] = {
-    "none": "No AA",
-    "fxaa": "FXAA",
-    "taa_ue4": "TAA (literature)",
-    "taa": "TAA (tuned)",
-    "ataa2": "ATAA 2x",
-    "ataa4": "ATAA 4x",
-    "ataa8": "ATAA 8x",
-    "ataa8_ue4": "ATAA 8x (literature TAA)",
-    "ssaa2": "SSAA 2x",
-    "ssaa4": "SSAA 4x",
-    "ssaa8": "SSAA 8x",
-    "ssaa16": "SSAA 16x",
-}
 REFERENCE = "reference"
-
-
-@dataclass(frozen=True)
-class Options:
-    """What to compare, and how."""
-
-    frames: int = 12
-    # our choice: frames rendered before the first that is scored, so that a sequence
-    # shows steady motion; the first frame, all of it new, is a case of its own.
-    lead_in: int = 8
-    reference_samples: int = 64
-    budget: float = 0.5  # rays a pixel; the paper's 8x stays under it
-    average: colors.Average = "tonemap"
-    methods: tuple[str, ...] = tuple(METHODS)
-    params: pipeline.Params | None = None  # overrides the tuned preset's numbers
-    choices: segmentation.Config | None = None  # and its segmentation's choices
 
 
 @dataclass(frozen=True)
@@ -121,40 +82,6 @@ class Comparison:
         if stage is not None:
             return float(np.median(stages[stage])) if stages.get(stage) else 0.0
         return float(sum(np.median(times) for times in stages.values() if times))
-
-
-def check_methods(names: Iterable[str]) -> tuple[str, ...]:
-    """Returns the methods asked for.
-
-    Raises:
-        InputError: one of them is unknown.
-    """
-    chosen = tuple(names)
-    for name in chosen:
-        if name not in METHODS:
-            raise InputError(f"unknown method '{name}'; known are {', '.join(METHODS)}")
-    return chosen
-
-
-def captured_methods(shot: Capture) -> tuple[str, ...]:
-    """Returns the methods that a capture's images allow.
-
-    ATAA only at the counts of samples that it has images of: the reference standing in
-    beside them would make fewer rays look better than more. Where it has none, the
-    reference stands in for all.
-    """
-    counts = shot.sample_counts
-    if not counts and shot.reference_samples is not None:
-        counts = (2, 4, 8)
-
-    def allowed(name: str) -> bool:
-        if name.startswith("ataa"):
-            return int(name.removeprefix("ataa").partition("_")[0]) in counts
-        if name.startswith("ssaa"):
-            return int(name.removeprefix("ssaa")) in shot.sample_counts
-        return True
-
-    return tuple(name for name in METHODS if allowed(name))
 
 
 def notes(shot: Source) -> list[str]:
@@ -249,245 +176,6 @@ def truth(
     )
 
 
-def _scene(shot: Source) -> Scene | None:
-    """Returns what decides the compiled effects; a capture has none."""
-    return None if isinstance(shot, Capture) else shot.world.scene
-
-
-def _effects(shot: Source) -> effects.Selection | None:
-    """Returns the effects to compile for; a capture is drawn already."""
-    return None if isinstance(shot, Capture) else shot.effects
-
-
-class Drawer:
-    """Draws each raster variant of a frame once, for all methods that read it."""
-
-    def __init__(self, shot: Source) -> None:
-        self.shot = shot
-        self.frame = 0
-        self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, float]] = {}
-
-    def start(self, frame: int) -> None:
-        """Forgets the last frame's buffers."""
-        self.frame = frame
-        self.drawn.clear()
-
-    def draw(
-        self,
-        config: raster.Config,
-        params: raster.Params,
-        jitter: np.ndarray | None,
-    ) -> tuple[RasterOutput, FrameInputs, float]:
-        """Returns the raster output, its inputs and its time in ms."""
-        if isinstance(self.shot, Capture):
-            return self._captured(self.shot, centred=jitter is None)
-        offset = (0.0, 0.0) if jitter is None else tuple(float(x) for x in jitter)
-        key = (config, float(params.mip_bias), offset)
-        if key not in self.drawn:
-            inputs = self.shot.inputs(self.frame, jitter)
-            world = self.shot.world
-            start = time.perf_counter()
-            out = raster.raster(
-                world.scene, inputs, params, tracer=world.tracer, config=config
-            )
-            jax.block_until_ready(out)
-            self.drawn[key] = (out, inputs, 1e3 * (time.perf_counter() - start))
-        return self.drawn[key]
-
-    def _captured(
-        self, shot: Capture, *, centred: bool
-    ) -> tuple[RasterOutput, FrameInputs, float]:
-        """Reads a frame; its own jitter and mip levels are what they are."""
-        if centred not in self.drawn:
-            start = time.perf_counter()
-            out, inputs = shot.draw(self.frame, centred=centred)
-            self.drawn[centred] = (out, inputs, 1e3 * (time.perf_counter() - start))
-        return self.drawn[centred]
-
-
-class Runner:
-    """One method over a sequence; `run` returns a frame as sRGB."""
-
-    temporal = False
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.times: dict[str, list[float]] = {}
-        self.shares: dict[str, float] = {}
-        self.method: np.ndarray | None = None
-        self.why: np.ndarray | None = None
-
-    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
-        """Renders a frame; `shares`, `method` and `why` then tell of it."""
-        raise NotImplementedError
-
-    def steady(self) -> dict[str, list[float]]:
-        """Returns the times of each stage without its first, which compiled it."""
-        return {stage: times[1:] or times for stage, times in self.times.items()}
-
-    def record(self, stage: str, milliseconds: float) -> None:
-        """Notes what one stage took."""
-        self.times.setdefault(stage, []).append(milliseconds)
-
-
-class _Plain(Runner):
-    """No AA, and full-screen FXAA: one sample at the pixel centre, hardware mips."""
-
-    def __init__(self, name: str, shot: Source, *, filtered: bool) -> None:
-        super().__init__(name)
-        config, params = pipeline.preset(
-            "ue4", _scene(shot), shot.size, selection=_effects(shot)
-        )
-        self.config = config
-        self.params = params
-        self.filtered = filtered
-
-    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
-        out, _, ms = drawer.draw(self.config.raster, self.params.raster, None)
-        self.record("raster", ms)
-        image = colors.display(out.color)
-        if self.filtered:
-            start = time.perf_counter()
-            image = jax.block_until_ready(
-                fxaa.fxaa(image, self.params.fxaa, config=self.config.fxaa)
-            )
-            self.record("fxaa", 1e3 * (time.perf_counter() - start))
-            self.shares = {"fxaa_share": 1.0}
-        return np.asarray(image)
-
-
-class _Adaptive(Runner):
-    """TAA alone (no pixel is traced) or ATAA, by one preset."""
-
-    temporal = True
-
-    def __init__(
-        self,
-        name: str,
-        shot: Source,
-        options: Options,
-        *,
-        preset: str,
-        samples: int | None,
-    ) -> None:
-        super().__init__(name)
-        budget = options.budget if samples else 0.0
-        self.config, self.params = pipeline.preset(
-            preset,
-            _scene(shot),
-            shot.size,
-            samples=samples or 2,
-            budget=budget,
-            selection=_effects(shot),
-        )
-        if options.params is not None and preset == "tuned":
-            self.params = pipeline.with_budget(options.params, budget)
-        if options.choices is not None and preset == "tuned":
-            self.config = replace(self.config, segmentation=options.choices)
-        if samples is None:
-            self.config = replace(self.config, adaptive=False)
-        self.samples = samples
-        self.state: State = pipeline.init(shot.size)
-        self.jitter = sampling.halton_jitter(
-            self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
-        )
-        self.first = -options.lead_in
-        self.shadow_rays = 0
-        self.output: pipeline.FrameOutput | None = None
-
-    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
-        phase = (frame - self.first) % len(self.jitter)
-        drawn, inputs, ms = drawer.draw(
-            self.config.raster, self.params.raster, self.jitter[phase]
-        )
-        self.record("raster", ms)
-        shot = drawer.shot
-        clock = time.perf_counter()
-
-        def observe(stage: str, buffers: Any) -> Any:
-            nonlocal clock
-            jax.block_until_ready(buffers)
-            now = time.perf_counter()
-            self.record(stage, 1e3 * (now - clock))
-            clock = time.perf_counter()
-            return buffers
-
-        if isinstance(shot, Capture):  # its own cuts reset the history
-            rays: dict[str, Any] = {
-                "trace": shot.trace(frame, self.samples) if self.samples else None
-            }
-        else:
-            inputs = pipeline.with_cut(inputs, frame == self.first)
-            rays = {"scene": shot.world.scene, "tracer": shot.world.tracer}
-        output, self.state = pipeline.antialias(
-            self.state,
-            drawn,
-            inputs,
-            self.params,
-            config=self.config,
-            observe=observe,
-            **rays,
-        )
-        self.output = output
-        pixels = drawer.shot.size[0] * drawer.shot.size[1]
-        self.shadow_rays = int(np.sum(output.statistics.rays.shadow))
-        stats = output.statistics
-        ataa, new = int(stats.ataa_pixels), int(stats.fxaa_pixels)
-        self.shares = {
-            "fxaa_share": new / pixels,
-            "ataa_share": ataa / pixels,
-            "taa_share": 1.0 - (new + ataa) / pixels,
-            "rays_per_pixel": int(stats.primary_rays) / pixels,
-            "overflow_share": int(stats.overflow_pixels) / pixels,
-        }
-        method, _ = segmentation.unpack_mask(output.segmentation.mask)
-        if self.samples:
-            self.method = np.asarray(method).astype(np.uint8)
-            self.why = np.asarray(output.segmentation.why)
-        return np.asarray(output.image)
-
-
-class _Supersampled(Runner):
-    """N samples a pixel everywhere, in the Direct3D pattern, at mip level 0."""
-
-    def __init__(self, name: str, samples: int, average: colors.Average) -> None:
-        super().__init__(name)
-        self.offsets = sampling.pattern(samples)
-        self.average: colors.Average = average
-
-    def run(self, frame: int, drawer: Drawer) -> np.ndarray:
-        shot = drawer.shot
-        count = len(self.offsets)
-        self.shares = {"rays_per_pixel": float(count)}
-        if isinstance(shot, Capture):
-            image = shot.samples(frame, count)
-            if image is None:
-                raise InputError(
-                    f"capture {shot.folder} has no {count}-sample images, which method "
-                    f"{self.name} shows"
-                )
-            return np.asarray(colors.display(jnp.asarray(image)))
-        inputs = shot.inputs(frame)
-        start = time.perf_counter()
-        out = reference.supersample(
-            shot.world, inputs, self.offsets, shot.size, average=self.average
-        )
-        jax.block_until_ready(out)
-        self.record("supersample", 1e3 * (time.perf_counter() - start))
-        return np.asarray(colors.display(out.color))
-
-
-def runner(name: str, shot: Source, options: Options) -> Runner:
-    """Returns what runs one method of `METHODS` over a sequence."""
-    if name in ("none", "fxaa"):
-        return _Plain(name, shot, filtered=name == "fxaa")
-    if name.startswith("ssaa"):
-        return _Supersampled(name, int(name.removeprefix("ssaa")), options.average)
-    kind, _, preset = name.partition("_")
-    samples = int(kind.removeprefix("ataa")) if kind.startswith("ataa") else None
-    return _Adaptive(name, shot, options, preset=preset or "tuned", samples=samples)
-
-
 def _score(
     result: Comparison,
     runners: list[Runner],
@@ -503,7 +191,7 @@ def _score(
     crossed = (thin > 0.0) & (thin < 1.0)
     shot = drawer.shot
     config, params = pipeline.preset(
-        "ue4", _scene(shot), result.size, selection=_effects(shot)
+        "ue4", scene_of(shot), result.size, selection=effects_of(shot)
     )
     centred, _, _ = drawer.draw(config.raster, params.raster, None)
     motion = np.asarray(centred.gbuffer.motion)

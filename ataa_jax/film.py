@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import color as colors
-from ataa_jax import compare, files
+from ataa_jax import compare, files, methods
 from ataa_jax.capture import results
 from ataa_jax.capture.record import Capture
-from ataa_jax.compare import Drawer, Options, Runner, Source
+from ataa_jax.methods import Drawer, Options, Runner, Source
 from ataa_jax.report import mask_overlay, why_overlay, write_timings
 
 STATISTICS = (
@@ -49,7 +49,7 @@ def shoot(
 
     Args:
         shot: the world along a path, or a capture.
-        method: a key of `compare.METHODS`.
+        method: a key of `methods.METHODS`.
         options: frames, lead-in, budget and parameters.
         folder: where to.
         exr: also write linear frames.
@@ -58,7 +58,7 @@ def shoot(
     Returns:
         The rows of `statistics.csv`.
     """
-    runner = compare.runner(method, shot, options)
+    runner = methods.runner(method, shot, options)
     drawer = Drawer(shot)
     first = -options.lead_in if runner.temporal else 0
     rows: list[tuple[str, ...]] = []

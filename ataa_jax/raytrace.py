@@ -1,7 +1,8 @@
 """Sparse ray tracing of the pixels that the mask asks for (paper, section 3).
 
-At each of them 2, 4 or 8 rays in the Direct3D n-rooks pattern, without temporal
-jitter, shaded by the same code as the raster stage with textures at mip level 0.
+At each of them 2, 4 or 8 rays in the Direct3D n-rooks pattern, shaded by the same code
+as the raster stage. The paper's rays read textures at mip level 0 and are not jittered;
+a footprint and a jitter are choices here.
 
 The number of traced pixels changes every frame. Pixels are taken in chunks of a fixed
 capacity inside a `while_loop`: the program is compiled once, and a frame costs as many
@@ -10,6 +11,7 @@ chunks as it has pixels.
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -32,6 +34,14 @@ class Config:
     # while the unused tail of the last chunk stays under 2 % of a 640×360 frame.
     chunk: int = 4096
     average: colors.Average = "tonemap"
+    # What of a texture a ray reads. level0: mip level 0 (paper, section 3). pixel: what
+    # a rasterizer reads, by the whole pixel's derivatives on the hit triangle's plane
+    # (Igehy 1999) without a mip bias. sample: the ray's share of the pixel, derivatives
+    # over √samples, so that the rays together read what the pixel covers.
+    footprint: Literal["level0", "pixel", "sample"] = "level0"
+    # True: the pattern moves with the frame's jitter, so that frames differ in their
+    # samples; round the pixel's edges, so that it still covers this pixel evenly.
+    jitter: bool = False
     shading: ShadingConfig = field(default_factory=ShadingConfig)
 
 
@@ -70,7 +80,8 @@ def raytrace(
 
     Args:
         scene: what to draw.
-        inputs: camera and transforms of this frame; the jitter is not used.
+        inputs: camera and transforms of this frame; the jitter is used where the
+            configuration asks for it.
         traced: the pixels that get rays.
         tracer: primary and shadow rays.
         config: rays a pixel, capacity of a chunk, effects.
@@ -81,14 +92,19 @@ def raytrace(
     size = (traced.shape[0], traced.shape[1])
     pixels = size[0] * size[1]
     offsets = jnp.asarray(sampling.pattern(config.samples))
+    if config.jitter:
+        moved = offsets + inputs.jitter[None, :] + 0.5
+        offsets = moved - jnp.floor(moved) - 0.5
+    steps = _steps(inputs, size[0], config)
 
     def work(
         index: Int[Array, " n"], used: Bool[Array, " n"], carry: tuple[Array, Rays]
     ) -> tuple[Array, Rays]:
         image, rays = carry
         color, cast = _trace_chunk(
-            scene, inputs, index, used, offsets, size, tracer=tracer, config=config
-        )
+            scene, inputs, index, used, offsets, steps, size,
+            tracer=tracer, config=config,
+        )  # fmt: skip
         image = image.at[index].set(color, mode="drop")
         return image, jax.tree.map(jnp.add, rays, cast)
 
@@ -101,12 +117,26 @@ def raytrace(
     )
 
 
+def _steps(
+    inputs: FrameInputs, height: int, config: Config
+) -> tuple[vector.Vec3, vector.Vec3] | None:
+    """Returns the change of a ray's direction over its footprint; None: level 0."""
+    if config.footprint == "level0":
+        return None
+    right, down = cameras.direction_steps(inputs.camera, height)
+    if config.footprint == "pixel":
+        return right, down
+    share = config.samples**-0.5
+    return right * share, down * share
+
+
 def _trace_chunk(
     scene: Scene,
     inputs: FrameInputs,
     index: Int[Array, " n"],
     used: Bool[Array, " n"],
     offsets: Float[Array, "s 2"],
+    steps: tuple[vector.Vec3, vector.Vec3] | None,
     size: tuple[int, int],
     *,
     tracer: embree.Tracer,
@@ -128,7 +158,7 @@ def _trace_chunk(
         inputs.world_from_group,
         cameras.position(inputs.camera),
         direction,
-        None,
+        steps,
         0.0,
         config=config.shading,
     )

@@ -164,9 +164,12 @@ class GBuffer(eqx.Module):
     """What a rasterizer leaves beside the colour, one sample a pixel, jittered."""
 
     depth: Float[Array, "h w"]  # linear, along −z of the view, scene units; sky inf
-    motion: Float[Array, "h w 2"]  # previous − current position, px, jitter removed
-    motion_valid: Bool[Array, "h w"]  # the point was in front of and inside the view
-    normal: Float[Array, "h w 3"]  # world, unit, shading normal; sky 0
+    # Previous − current position, px, jitter removed; at most 4·max(h, w) a component.
+    motion: Float[Array, "h w 2"]
+    # The point was in front of the previous camera, and the pixel's centre + motion
+    # lies inside the image.
+    motion_valid: Bool[Array, "h w"]
+    normal: Float[Array, "h w 3"]  # world, unit, interpolated, no normal map; sky 0
     object: Int[Array, "h w"]  # −1: sky
     material: Int[Array, "h w"]  # −1: sky
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ataa_jax import capture, color, compare, metrics, world
+from ataa_jax import capture, color, compare, methods, metrics, world
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA
 
 
@@ -38,7 +38,7 @@ def main() -> None:
     for variant in ("mip levels", "level 0"):
         rows: dict[str, list[float]] = {}
         mips = variant == "mip levels"
-        options = compare.Options(
+        options = methods.Options(
             frames=count,
             lead_in=0,
             reference_samples=read.reference_samples or 1,
@@ -55,15 +55,15 @@ def main() -> None:
 
 
 def frames(
-    shot: compare.Source, options: compare.Options, samples: int, *, mips: bool
+    shot: methods.Source, options: methods.Options, samples: int, *, mips: bool
 ) -> list[dict[str, np.ndarray]]:
     """Returns TAA, ATAA, raw, reference and mask of every frame."""
-    runners = [compare.runner(n, shot, options) for n in ("taa", f"ataa{samples}")]
+    runners = [methods.runner(n, shot, options) for n in ("taa", f"ataa{samples}")]
     for each in runners:
         config = each.config  # type: ignore[attr-defined]
         drawn = replace(config.raster, mip_maps=mips)
         each.config = replace(config, raster=drawn)  # type: ignore[attr-defined]
-    drawer = compare.Drawer(shot)
+    drawer = methods.Drawer(shot)
     found = []
     for index in range(options.frames):
         drawer.start(index)

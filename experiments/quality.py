@@ -13,7 +13,7 @@ from pathlib import Path
 
 import scenes
 
-from ataa_jax import compare, report
+from ataa_jax import compare, methods, report
 
 COLUMNS = (
     *("ssim", "psnr", "flip", "flicker", "border_mse", "thin_mse"),
@@ -44,25 +44,27 @@ def main() -> None:
     parser.add_argument(
         "--methods", help="only these, with commas; other rows stay as they are"
     )
+    parser.add_argument("--scenes", help="only these, with commas")
     options = parser.parse_args()
-    methods = tuple(compare.METHODS)
+    chosen = tuple(methods.METHODS)
     if options.methods:
-        methods = compare.check_methods(options.methods.split(","))
+        chosen = methods.check_methods(options.methods.split(","))
     results = Path(__file__).parent / "results"
     results.mkdir(exist_ok=True)
     file = results / "quality.csv"
     table: dict[tuple[str, str], list[str]] = {}
-    if options.methods and file.is_file():
+    if (options.methods or options.scenes) and file.is_file():
         with file.open(newline="") as stream:
             table = {(row[0], row[1]): row for row in list(csv.reader(stream))[1:]}
-    for name in scenes.available():
+    named = options.scenes.split(",") if options.scenes else scenes.available()
+    for name in named:
         shot = scenes.shot(scenes.load(name))
         result = compare.compare(
             shot,
-            compare.Options(
+            methods.Options(
                 frames=options.frames,
                 reference_samples=options.reference_samples,
-                methods=methods,
+                methods=chosen,
             ),
         )
         if not options.methods:

@@ -102,6 +102,24 @@ def still() -> str:
     return markdown(head, rows)
 
 
+def failures() -> str:
+    """The failure suite: what the mask catches, and the error left."""
+    rows = [
+        [
+            f"({row['letter']}) {row['case']}",
+            percent(row["recall"]),
+            percent(row["precision"]),
+            f"{100 * float(row['fxaa_share']):.1f} %",
+            f"{100 * float(row['ataa_share']):.1f} %",
+            ratio(str(float(row["ataa_mse"]) / float(row["taa_mse"]))),
+        ]
+        for row in read("failure_suite.csv")
+        if row["criterion"] == "mask"
+    ]
+    head = ["failure", "recall", "precision", "FXAA", "traced", "error left"]
+    return markdown(head, rows)
+
+
 def main() -> None:
     """Replaces what stands between the markers."""
     text = README.read_text("utf-8")
@@ -109,6 +127,7 @@ def main() -> None:
         ("quality", quality()),
         ("shares", shares()),
         ("still", still()),
+        ("failures", failures()),
     ):
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.escape(begin) + ".*?" + re.escape(end)

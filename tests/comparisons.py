@@ -3,7 +3,8 @@
 import numpy as np
 
 from ataa_jax import metrics
-from ataa_jax.compare import REFERENCE, Comparison, Options, Score
+from ataa_jax.compare import REFERENCE, Comparison, Score
+from ataa_jax.methods import Options
 
 SAMPLES = {
     "none": 1,

@@ -5,7 +5,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from ataa_jax import capture, cli, compare, pipeline, world
+from ataa_jax import capture, cli, methods, pipeline, world
 from ataa_jax.capture import exr
 from tests import captures
 
@@ -42,10 +42,10 @@ def test_a_capture_gives_the_renderers_own_frames(folder):
     shot = world.shot(captures.built_in(), "walk", captures.SIZE, motion=0.03)
     read = capture.load(folder)
     for name, tolerance in (("taa", 0.0), ("ataa8", 2e-3)):
-        options = compare.Options(frames=captures.FRAMES, lead_in=0)
-        ours = compare.runner(name, shot, options)
-        theirs = compare.runner(name, read, options)
-        drawn, captured = compare.Drawer(shot), compare.Drawer(read)
+        options = methods.Options(frames=captures.FRAMES, lead_in=0)
+        ours = methods.runner(name, shot, options)
+        theirs = methods.runner(name, read, options)
+        drawn, captured = methods.Drawer(shot), methods.Drawer(read)
         for frame in range(captures.FRAMES):
             drawn.start(frame)
             captured.start(frame)
@@ -93,11 +93,11 @@ def test_without_samples_the_reference_stands_in_and_says_so(folder):
 def test_the_reference_does_not_stand_in_beside_sample_images(folder):
     read = capture.load(folder)
     few = capture.Capture(**{**vars(read), "sample_counts": (8,)})
-    named = set(compare.captured_methods(few))
+    named = set(methods.captured_methods(few))
     assert {"taa", "ataa8", "ataa8_ue4", "ssaa8"} <= named
     assert not {"ataa2", "ataa4", "ssaa2", "ssaa16"} & named
     none = capture.Capture(**{**vars(read), "sample_counts": ()})
-    assert {"ataa2", "ataa4", "ataa8"} <= set(compare.captured_methods(none))
+    assert {"ataa2", "ataa4", "ataa8"} <= set(methods.captured_methods(none))
 
 
 def test_antialias_without_scene_or_stand_in_is_refused(folder):

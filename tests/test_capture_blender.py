@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ataa_jax import capture, color, compare, metrics, raster, sampling, world
+from ataa_jax import capture, color, methods, metrics, raster, sampling, world
 from ataa_jax import pipeline as pipelines
 from ataa_jax.capture import check, exr
 from ataa_jax.types import METHOD_ATAA
@@ -71,12 +71,12 @@ def test_depth_and_motion_are_those_of_the_packages_renderer(shot):
 
 def test_the_masks_and_images_agree_with_the_packages_renderer(shot):
     read = capture.load(DATA)
-    options = compare.Options(frames=6, lead_in=0)
+    options = methods.Options(frames=6, lead_in=0)
     found = {}
     for name, source in (("ours", shot), ("theirs", read)):
         runner, drawer = (
-            compare.runner("ataa8", source, options),
-            compare.Drawer(source),
+            methods.runner("ataa8", source, options),
+            methods.Drawer(source),
         )
         for frame in range(6):
             drawer.start(frame)

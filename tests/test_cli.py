@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ataa_jax import cli, paths, world
-from ataa_jax.compare import METHODS
+from ataa_jax import cli, effects, paths, world
+from ataa_jax.methods import METHODS
 from tests.gltf_writer import triangle_scene
 
 DATA = Path(__file__).parents[1] / "data"
@@ -48,10 +48,10 @@ def one_world():
     # Every world has a tracer of its own, for which all stages compile anew.
     prepare, kept = world.prepare, {}
 
-    def kept_world(source, *, camera=None, backend="auto"):
-        key = (id(source), camera, backend)  # `read` keeps its sources
+    def kept_world(source, *, camera=None, backend="auto", wish=None):
+        key = (id(source), camera, backend, wish)  # `read` keeps its sources
         if key not in kept:
-            kept[key] = prepare(source, camera=camera, backend=backend)
+            kept[key] = prepare(source, camera=camera, backend=backend, wish=wish)
         return kept[key]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -364,3 +364,37 @@ def test_every_path_of_the_data_folder_loads(file):
     path = paths.load(str(file))
     assert path.kind == file.stem
     assert set(tomllib.loads(file.read_text())) >= {"kind", "fps"}
+
+
+# ---- effects
+
+
+def test_info_lists_the_effects_with_their_reasons_and_rays(scene, capsys):
+    assert ataa("info", scene) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "1 of 1 lights cast them" in shown
+    assert "rays a pixel" in shown
+    for name in effects.NAMES:
+        assert name in shown
+
+
+def test_an_effect_that_the_scene_cannot_have_is_said(scene, capsys):
+    assert ataa("info", scene, "--effects", "normal-maps,sky") == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "effect normal-maps was asked for, but the scene has none" in shown
+    assert "left out" in shown
+
+
+@pytest.mark.parametrize("command", ["info", "run", "compare"])
+def test_an_unknown_effect_is_refused(scene, command, capsys, tmp_path):
+    out = [] if command == "info" else ["--out", tmp_path / "out"]
+    assert ataa(command, scene, "--effects", "fog", *out) == 2
+    assert "there is no effect 'fog'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_without_shadows_casts_no_shadow_rays(scene, tmp_path):
+    out = tmp_path / "out"
+    options = ("--effects", "no-shadows", "--out", out)
+    assert ataa("run", scene, *TINY, *options) == 0
+    assert {row["shadow_rays"] for row in read(out / "statistics.csv")} == {"0"}

@@ -27,13 +27,15 @@ def tracer(scene):
     return embree.build(scene)
 
 
-def trace(scene, tracer, traced, samples=8, chunk=2048) -> raytrace.RaytraceOutput:
+def trace(
+    scene, tracer, traced, samples=8, chunk=2048, *, shift=(0.0, 0.0), **choices
+) -> raytrace.RaytraceOutput:
     config = raytrace.Config(
-        samples=samples, chunk=chunk, shading=effects.required(scene)
+        samples=samples, chunk=chunk, shading=effects.required(scene), **choices
     )
     return raytrace.raytrace(
         scene,
-        frames.inputs((2.0, 1.5, 4.0)),
+        frames.inputs((2.0, 1.5, 4.0), jitter=shift),
         jnp.asarray(traced),
         tracer=tracer,
         config=config,
@@ -139,3 +141,88 @@ def test_traced_pixels_equal_the_brute_force_oracle(yard, samples):
     np.testing.assert_array_equal(np.asarray(found.color)[~traced], 0.0)
     slack = 3 * samples * int(np.sum(traced & near))
     assert abs(int(found.shadow_rays) - shadow_rays[traced].sum()) <= slack
+
+
+def yard_traced(yard, samples, shift=None, **choices) -> np.ndarray:
+    shot, tracer = yard
+    inputs = shot.inputs
+    if shift is not None:
+        inputs = replace(inputs, jitter=jnp.asarray(shift, jnp.float32))
+    config = raytrace.Config(
+        samples=samples, chunk=256, shading=effects.required(shot.scene), **choices
+    )
+    every = jnp.ones(shot.size, bool)
+    return np.asarray(
+        raytrace.raytrace(shot.scene, inputs, every, tracer=tracer, config=config).color
+    )
+
+
+def yard_drawn(yard, offsets, mip_bias=None) -> np.ndarray:
+    """The mean of raster passes at some offsets; None: at mip level 0."""
+    shot, tracer = yard
+    config = raster.Config(
+        size=shot.size,
+        mip_maps=mip_bias is not None,
+        shading=effects.required(shot.scene),
+    )
+    passes = [
+        color.tonemap(
+            raster.raster(
+                shot.scene,
+                replace(shot.inputs, jitter=jnp.asarray(offset, jnp.float32)),
+                raster.default_params(mip_bias or 0.0),
+                tracer=tracer,
+                config=config,
+            ).color
+        )
+        for offset in offsets
+    ]
+    return np.asarray(color.inverse_tonemap(sum(passes) / len(passes)))
+
+
+def assert_same_but_for_edges(found, expected):
+    # Another packet of rays, another last bit of their directions: at an edge of a
+    # triangle, or of a shadow, one of 384 pixels or two may fall to the other side.
+    close = np.isclose(found, expected, rtol=1e-3, atol=1e-4).all(axis=-1)
+    assert close.mean() > 0.99
+
+
+def test_without_a_footprint_or_jitter_rays_are_the_papers(yard):
+    default = yard_traced(yard, 2)
+    named = yard_traced(yard, 2, footprint="level0", jitter=False)
+    np.testing.assert_array_equal(default, named)
+    expected = yard_drawn(yard, sampling.pattern(2))
+    assert_same_but_for_edges(default, expected)
+
+
+def test_the_pixels_footprint_reads_what_the_raster_stage_reads(yard):
+    found = yard_traced(yard, 1, footprint="pixel")
+    expected = yard_drawn(yard, [(0.0, 0.0)], 0.0)
+    assert_same_but_for_edges(found, expected)
+    unfiltered = yard_traced(yard, 1)
+    changed = np.abs(unfiltered - expected).max(axis=-1) > 1e-2
+    assert changed.mean() > 0.3  # the yard's textures are finer than its pixels
+
+
+@pytest.mark.parametrize(("samples", "levels"), [(2, 0.5), (4, 1.0), (8, 1.5)])
+def test_a_samples_footprint_is_its_share_of_the_pixel(yard, samples, levels):
+    found = yard_traced(yard, samples, footprint="sample")
+    assert_same_but_for_edges(
+        found, yard_drawn(yard, sampling.pattern(samples), -levels)
+    )
+
+
+def test_a_jitter_of_zero_changes_no_bit(yard):
+    still = yard_traced(yard, 8, (0.0, 0.0), jitter=True)
+    np.testing.assert_array_equal(still, yard_traced(yard, 8, (0.0, 0.0)))
+
+
+def test_jitter_moves_the_pattern_within_the_pixel(yard):
+    shift = np.array([0.3125, -0.4375])
+    moved = sampling.pattern(4) + shift
+    moved[moved >= 0.5] -= 1.0
+    moved[moved < -0.5] += 1.0
+    found = yard_traced(yard, 4, shift, jitter=True)
+    assert_same_but_for_edges(found, yard_drawn(yard, moved))
+    changed = np.abs(found - yard_traced(yard, 4)).max(axis=-1) > 1e-2
+    assert changed.mean() > 0.3

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from ataa_jax import color, compare, effects, metrics, raster, reference, sampling
+from ataa_jax import (
+    color,
+    compare,
+    effects,
+    methods,
+    metrics,
+    raster,
+    reference,
+    sampling,
+)
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from tests.test_pipeline import source
@@ -125,12 +134,12 @@ def test_flip_is_zero_for_equal_images_and_grows_with_the_error():
 
 
 def test_comparison_runs_every_method_and_orders_them_sensibly(shot, cache):
-    options = compare.Options(
+    options = methods.Options(
         frames=2, lead_in=3, reference_samples=32, budget=float("inf")
     )
     walk = worlds.shot(shot.world, "walk", SIZE)
     result = compare.compare(walk, options)
-    assert set(result.images) == {*compare.METHODS, compare.REFERENCE}
+    assert set(result.images) == {*methods.METHODS, compare.REFERENCE}
     ssim = {name: result.mean(name, "ssim") for name in result.images}
     assert ssim["reference"] == pytest.approx(1.0)
     assert ssim["none"] < ssim["ssaa2"] < ssim["ssaa4"] < ssim["ssaa8"]
@@ -141,4 +150,4 @@ def test_comparison_runs_every_method_and_orders_them_sensibly(shot, cache):
 
 def test_unknown_methods_are_refused():
     with pytest.raises(InputError, match="unknown method 'smaa'"):
-        compare.check_methods(["taa", "smaa"])
+        methods.check_methods(["taa", "smaa"])

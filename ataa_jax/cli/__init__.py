@@ -23,7 +23,7 @@ from ataa_jax.cli import fit_commands, given, terminal
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import compare, effects, paths, world
+    from ataa_jax import effects, methods, paths, world
 
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
 BAD_INPUT, INTERRUPTED, FAILED = 2, 130, 1
@@ -125,9 +125,9 @@ def run(
             "takes several"
         )
     with _output(out or Path("out") / f"{_stem(scene)}-{method}") as (folder, final):
-        from ataa_jax import compare, film
+        from ataa_jax import compare, film, methods
 
-        (name,) = compare.check_methods([method])
+        (name,) = methods.check_methods([method])
         if preset not in ("tuned", "ue4"):
             raise InputError(f"unknown preset '{preset}'; known are tuned, ue4")
         if preset == "ue4" and name.startswith(("taa", "ataa")):
@@ -263,11 +263,11 @@ def _compare(
     given.at_least("--lead-in", options.get("lead_in", 0), 0)
     given.at_least("--reference-samples", options["reference_samples"], 1)
     with _output(out) as (folder, final):
-        from ataa_jax import compare, report
+        from ataa_jax import compare, methods, report
 
         if names:
             split = [part.strip() for name in names for part in name.split(",")]
-            options["methods"] = compare.check_methods(dict.fromkeys(split))
+            options["methods"] = methods.check_methods(dict.fromkeys(split))
         with terminal.progress() as tell:
             if capture_commands.given(scene):
                 shot, chosen = capture_commands.prepare(
@@ -326,9 +326,9 @@ def _prepare(
     params: Path | None,
     report: terminal.Report,
     options: dict[str, Any],
-) -> tuple["world.Sequence", "compare.Options"]:
+) -> tuple["world.Sequence", "methods.Options"]:
     """Loads everything that a sequence needs, and checks it before any frame."""
-    from ataa_jax import compare, parameters, pipeline
+    from ataa_jax import methods, parameters, pipeline
     from ataa_jax import world as worlds
 
     asked = options.pop("budget", None)
@@ -348,7 +348,7 @@ def _prepare(
         if asked is None:  # the file's budget counts, but the command line wins
             budget = float(options["params"].budget)
     options["budget"] = budget
-    return worlds.sequence(loaded, path, extent), compare.Options(**options)
+    return worlds.sequence(loaded, path, extent), methods.Options(**options)
 
 
 def _stem(scene: str) -> str:

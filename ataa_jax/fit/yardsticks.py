@@ -111,7 +111,7 @@ def _highest(
     params: pipeline.Params,
     extra: object,
     *,
-    score: Callable[[Recorded, taa.TaaOutput, object], Array],
+    score: Callable[[Recorded, taa.TaaOutput, Any], Array],
     config: segmentation.Config,
     pixels: int,
 ) -> Segmentation:

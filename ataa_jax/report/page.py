@@ -14,7 +14,8 @@ import numpy as np
 from PIL import Image
 
 from ataa_jax import files, types
-from ataa_jax.compare import METHODS, REFERENCE, Comparison
+from ataa_jax.compare import REFERENCE, Comparison
+from ataa_jax.methods import METHODS
 from ataa_jax.report import crops, tables
 from ataa_jax.report.palette import (
     MASK_ALPHA,

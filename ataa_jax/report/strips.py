@@ -5,7 +5,8 @@ import io
 import numpy as np
 from PIL import Image
 
-from ataa_jax.compare import METHODS, REFERENCE, Comparison
+from ataa_jax.compare import REFERENCE, Comparison
+from ataa_jax.methods import METHODS
 from ataa_jax.report import crops as windows
 from ataa_jax.report.crops import Crop
 from ataa_jax.report.palette import MASK_COLORS, MASK_NAMES

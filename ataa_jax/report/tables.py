@@ -11,7 +11,8 @@ import numpy as np
 from rich.table import Table
 
 from ataa_jax import files
-from ataa_jax.compare import METHODS, REFERENCE, Comparison
+from ataa_jax.compare import REFERENCE, Comparison
+from ataa_jax.methods import METHODS
 from ataa_jax.report.palette import family
 from ataa_jax.report.strips import label
 
