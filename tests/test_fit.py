@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -349,3 +350,16 @@ def test_where_taa_is_exact_nothing_is_fitted_and_that_is_said(recording):
     found = fits.fit([exact], OPTIONS)
     assert "nothing was fitted" in found.notes[0]
     assert found.standings[0].fitted == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_fitted_preset_is_the_file_that_the_experiment_wrote():
+    table = parameters.read(Path(__file__).parents[1] / "data" / "fitted.toml")
+    config, params = pipeline.preset("tuned", None, (4, 4), criteria="fitted")
+    loaded = parameters.override(params, table, "fitted.toml")
+    assert eqx.tree_equal(loaded.segmentation, params.segmentation)
+    assert parameters.choices(table, segmentation.Config(), "f") == config.segmentation
+
+
+def test_unknown_criteria_are_refused():
+    with pytest.raises(InputError, match="unknown criteria 'magic'"):
+        pipeline.preset("tuned", None, (4, 4), criteria="magic")
