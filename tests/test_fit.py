@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import tomllib
 from pathlib import Path
 
 import equinox as eqx
@@ -11,8 +12,8 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from ataa_jax import cli, parameters, pipeline, segmentation, terms, world
 from ataa_jax import fit as fits
-from ataa_jax import parameters, pipeline, segmentation, terms, world
 from ataa_jax.errors import InputError
 from ataa_jax.fit import (
     optimize,
@@ -94,9 +95,8 @@ def test_the_squares_of_the_residuals_are_the_loss_but_for_a_constant():
             error, price = relaxed.residuals(jnp.asarray(y), args)
             squares = jnp.sum(error**2) + jnp.sum(price**2) + constant
             # 1e-12 under the price's root, times price and samples.
-            assert squares == pytest.approx(
-                relaxed.loss(jnp.asarray(y), args), rel=1e-9
-            )
+            loss = float(relaxed.loss(jnp.asarray(y), args))
+            assert float(squares) == pytest.approx(loss, rel=1e-9)
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
@@ -363,3 +363,25 @@ def test_the_fitted_preset_is_the_file_that_the_experiment_wrote():
 def test_unknown_criteria_are_refused():
     with pytest.raises(InputError, match="unknown criteria 'magic'"):
         pipeline.preset("tuned", None, (4, 4), criteria="magic")
+
+
+TINY = [
+    *("--size", "40x24", "--frames", "2", "--lead-in", "1"),
+    *("--reference-samples", "2", "--solver", "none", "--steps", "0"),
+]
+
+
+def test_a_fit_writes_its_file_and_exports_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("ATAA_CACHE", str(tmp_path / "cache"))
+    file = tmp_path / "a.toml"
+    assert cli.main(["fit", "builtin", *TINY, "-o", str(file)]) == 0
+    table = tomllib.loads(file.read_text())
+    assert table["fit"]["frames"] == 2
+    assert len(table["fit"]["scene"][0]["content"]) == 40
+    capsys.readouterr()
+    assert cli.main(["export", str(file), "--to", "hlsl"]) == 0
+    shown = capsys.readouterr().out
+    assert f"ATAA_THRESHOLD = {table['segmentation']['threshold']!r}f;" in shown
+    out = tmp_path / "c.glsl"
+    assert cli.main(["export", str(file), "--to", "glsl", "-o", str(out)]) == 0
+    assert out.read_text().count("const ") == shown.count("const ")

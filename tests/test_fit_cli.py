@@ -1,31 +1,8 @@
 """`ataa fit` and `ataa export`: files out, and clear words for mistakes."""
 
-import tomllib
-
 import pytest
 
 from ataa_jax import cli
-
-TINY = [
-    *("--size", "40x24", "--frames", "1", "--lead-in", "1"),
-    *("--reference-samples", "2", "--solver", "none", "--steps", "0"),
-]
-
-
-def test_a_fit_writes_its_file_and_exports_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("ATAA_CACHE", str(tmp_path / "cache"))
-    file = tmp_path / "a.toml"
-    assert cli.main(["fit", "builtin", *TINY, "-o", str(file)]) == 0
-    table = tomllib.loads(file.read_text())
-    assert table["fit"]["frames"] == 1
-    assert len(table["fit"]["scene"][0]["content"]) == 40
-    capsys.readouterr()
-    assert cli.main(["export", str(file), "--to", "hlsl"]) == 0
-    shown = capsys.readouterr().out
-    assert f"ATAA_THRESHOLD = {table['segmentation']['threshold']!r}f;" in shown
-    out = tmp_path / "c.glsl"
-    assert cli.main(["export", str(file), "--to", "glsl", "-o", str(out)]) == 0
-    assert out.read_text().count("const ") == shown.count("const ")
 
 
 @pytest.mark.parametrize(
