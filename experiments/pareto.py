@@ -31,7 +31,7 @@ from matplotlib import pyplot as plt
 RESULTS = Path(__file__).parent / "results"
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE, FRAMES = (180, 320), 12
-PRICES = (0.03, 0.02, 0.014, 0.01, 0.007, 0.005, 0.0035, 0.0025, 0.0015)
+PRICES = (0.2, 0.1, 0.05, 0.025, 0.0125, 0.006, 0.003, 0.0015)
 TERMS = ("luminance", "depth", "response")
 HEAD = (
     "scene", "price", "contender", "rays", "ssim", "frame_ms",
