@@ -52,7 +52,7 @@ def fit(
     motion: given.Motion = None,
     terms: Terms = "luminance,depth,response",
     reading: Annotated[str, typer.Option(help="sum or either.")] = "sum",
-    solver: Annotated[str, typer.Option(help="Relaxed: bfgs, lm, none.")] = "bfgs",
+    solver: Annotated[str, typer.Option(help="Relaxed: lm, bfgs, none.")] = "lm",
     starts: Annotated[int, typer.Option(help="Starts of the relaxed fit.")] = 1,
     steps: Annotated[int, typer.Option(help="Of Nelder–Mead; 0: none.")] = 8,
     taa: Annotated[bool, typer.Option("--taa", help="Also TAA's own numbers.")] = False,

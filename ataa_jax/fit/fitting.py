@@ -39,7 +39,7 @@ class Options:
     terms: tuple[str, ...] = ("luminance", "depth", "response")
     quantities: tuple[str, ...] = ("segmentation.reset_px", "segmentation.hold")
     reading: Literal["sum", "either"] = "sum"
-    solver: Literal["bfgs", "lm", "none"] = "bfgs"  # of the relaxed fit
+    solver: Literal["lm", "bfgs", "none"] = "lm"  # of the relaxed fit
     starts: int = 1  # of the relaxed fit
     steps: int = 8  # of Nelder–Mead; 0: none
     seed: int = 0
@@ -242,9 +242,6 @@ def _search(
             space.coordinates(params, quantities),
             (takes, params, jnp.float32(options.budget)),
             steps=options.steps,
-            # our choice: near the relaxed fit's optimum a tenth of the box, which is
-            # still one frame of the hold.
-            reach=0.25 if options.solver == "none" else 0.1,
             checkpoints=checkpoints,
             progress=progress,
         )

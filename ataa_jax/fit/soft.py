@@ -3,9 +3,6 @@
 The outer loop is: replay the hard mask at the budget, gather its pixels, fit, replay
 again, until the weights stop changing. Within it the price a ray is moved until the
 soft mask spends the budget: at the optimum the dearest pixel traced is worth its rays.
-
-From where: of equal weights and of each term in the lead, what scores best in closed
-loop. A loss of soft masks is flat far from its optimum, and steps there are dear.
 """
 
 from collections.abc import Callable
@@ -26,9 +23,9 @@ from ataa_jax.fit.relaxed import Pixels, Soft
 from ataa_jax.fit.replay import Take
 
 Solver = Literal["lm", "bfgs"]
-ROUNDS = 2
-_STEPS = 4
-_LEAD = 16.0  # weight of a term in the lead over the others
+ROUNDS = 3
+PRICES = 6  # moves of the price a round
+_STEPS = 25
 _FIRST_PRICE = 1e-2
 
 
@@ -50,7 +47,7 @@ def fit(
     terms: tuple[str, ...],
     budget: float,
     *,
-    solver: Solver = "bfgs",
+    solver: Solver = "lm",
     starts: int = 1,
     seed: int = 0,
     rounds: int = ROUNDS,
@@ -83,8 +80,6 @@ def fit(
         state = jax.tree.map(jnp.asarray, saved)
     current, best, best_ssim, price, evaluations, done = state
     price = jnp.where(done > 0, price, _FIRST_PRICE)
-    if int(done) == 0:
-        current = _lead(takes, params, quantities, current, budget)
     while int(done) < rounds:
         at = with_weights(params, quantities, jnp.exp(current))
         results = [score.at_budget(take, at, budget) for take in takes]
@@ -122,28 +117,9 @@ def fit(
         hard_ssim=float(best_ssim),
         price=float(price),
         evaluations=int(evaluations),
-        hard_evaluations=len(terms) + 1 + int(done) + 1,
+        hard_evaluations=int(done) + 1,
         rounds=int(done),
     )
-
-
-def _lead(
-    takes: tuple[Take, ...],
-    params: pipeline.Params,
-    quantities: tuple[space.Quantity, ...],
-    given: Float[Array, " k"],
-    budget: float,
-) -> Float[Array, " k"]:
-    """Returns the best start by the hard score, in log weights over the first's."""
-    lead = float(np.log(_LEAD))
-    own = lead * np.eye(len(quantities), dtype=np.float32)
-    first = np.full(len(quantities), -lead, np.float32)
-    starts = [given, jnp.asarray(first), *map(jnp.asarray, own)]
-    scores = []
-    for start in starts:
-        at = with_weights(params, quantities, jnp.exp(start))
-        scores.append(np.mean([score.at_budget(t, at, budget).ssim for t in takes]))
-    return starts[int(np.argmax(scores))]
 
 
 def _values(
@@ -200,7 +176,11 @@ def _priced(
     """
     samples = jnp.float32(takes[0].samples)
     spent, best = 0, points[0]
-    for temperature in relaxed.TEMPERATURES:
+    schedule = [
+        *relaxed.TEMPERATURES,
+        *(relaxed.TEMPERATURES[-1],) * (PRICES - len(relaxed.TEMPERATURES)),
+    ]
+    for temperature in schedule:
         soft = Soft(
             temperature=jnp.float32(temperature),
             price=jnp.float32(price),
@@ -224,7 +204,7 @@ def at_price(
     price: float,
     samples: int,
     *,
-    solver: Solver = "bfgs",
+    solver: Solver = "lm",
 ) -> Float[Array, " k"]:
     """Returns the point that is best at a price a ray, whatever rays it spends."""
     points = start[None]
