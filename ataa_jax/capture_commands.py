@@ -68,7 +68,7 @@ def prepare(
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
         own = pipeline.Config().segmentation
-        options["choices"] = parameters.choices(table, own, where)
+        options["segmentation"] = parameters.choices(table, own, where)
         if budget is None:
             given_budget = float(options["params"].budget)
     options |= {

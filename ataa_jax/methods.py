@@ -27,6 +27,7 @@ from ataa_jax import (
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
+from ataa_jax.segmentation import Config as SegmentationConfig
 from ataa_jax.types import FrameInputs, Scene, State
 from ataa_jax.world import Sequence
 
@@ -63,7 +64,7 @@ class Options:
     average: colors.Average = "tonemap"
     methods: tuple[str, ...] = tuple(METHODS)
     params: pipeline.Params | None = None  # overrides the tuned preset's numbers
-    choices: segmentation.Config | None = None  # and its segmentation's choices
+    segmentation: SegmentationConfig | None = None  # and its segmentation's choices
 
 
 def check_methods(names: Iterable[str]) -> tuple[str, ...]:
@@ -233,8 +234,8 @@ class _Adaptive(Runner):
         )
         if options.params is not None and preset == "tuned":
             self.params = pipeline.with_budget(options.params, budget)
-        if options.choices is not None and preset == "tuned":
-            self.config = replace(self.config, segmentation=options.choices)
+        if options.segmentation is not None and preset == "tuned":
+            self.config = replace(self.config, segmentation=options.segmentation)
         if samples is None:
             self.config = replace(self.config, adaptive=False)
         self.samples = samples

@@ -83,7 +83,19 @@ def flicker(
         The mean over channels and pixels, in [0, 1]; what the reference shows itself
         (moving shadows, parallax at edges) is part of it: compare with its row.
     """
-    height, width = motion_valid.shape
+    change = change_along_motion(image, previous, motion)
+    return float(change[motion_valid].mean()) if motion_valid.any() else float("nan")
+
+
+def change_along_motion(
+    image: np.ndarray, previous: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
+    """Returns the absolute change of each point's colour, the mean over channels.
+
+    Arguments as `flicker`'s; the frame before is read bilinearly, clamped to edge.
+    Any image will do: of two errors it tells how the error changes.
+    """
+    height, width = motion.shape[:2]
     y, x = np.mgrid[0:height, 0:width]
     at_x, at_y = x + motion[..., 0], y + motion[..., 1]
     x0 = np.clip(np.floor(at_x), 0, width - 1).astype(int)
@@ -93,8 +105,7 @@ def flicker(
     fy = np.clip(at_y - y0, 0.0, 1.0)[..., None]
     top = previous[y0, x0] * (1 - fx) + previous[y0, x1] * fx
     bottom = previous[y1, x0] * (1 - fx) + previous[y1, x1] * fx
-    change = np.abs(image - (top * (1 - fy) + bottom * fy)).mean(axis=-1)
-    return float(change[motion_valid].mean()) if motion_valid.any() else float("nan")
+    return np.abs(image - (top * (1 - fy) + bottom * fy)).mean(axis=-1)
 
 
 def flip(image: np.ndarray, reference: np.ndarray) -> float:

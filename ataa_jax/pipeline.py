@@ -35,6 +35,7 @@ from ataa_jax.raster import Config as RasterConfig
 from ataa_jax.raster import RasterOutput
 from ataa_jax.raytrace import Config as RaytraceConfig
 from ataa_jax.raytrace import RaytraceOutput
+from ataa_jax.resolve import Config as ResolveConfig
 from ataa_jax.segmentation import Config as SegmentationConfig
 from ataa_jax.taa import Config as TaaConfig
 from ataa_jax.types import (
@@ -65,6 +66,7 @@ class Config:
     taa: TaaConfig = field(default_factory=lambda: taa.PRESETS["tuned"][0])
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     raytrace: RaytraceConfig = field(default_factory=RaytraceConfig)
+    resolve: ResolveConfig = field(default_factory=ResolveConfig)
     fxaa: FxaaConfig = field(default_factory=FxaaConfig)
 
 
@@ -100,7 +102,7 @@ class FrameOutput(eqx.Module):
     reprojected: Float[Array, "h w 3"]  # history before rectification, linear
     segmentation: Segmentation
     traced: Float[Array, "h w 3"]  # linear, 0 where not traced
-    composite: Float[Array, "h w 3"]  # linear: what the history stores
+    composite: Float[Array, "h w 3"]  # linear; the history stores it, with feedback
     statistics: Statistics
 
 
@@ -267,9 +269,10 @@ def antialias(
         resolved = observe(
             "resolve",
             resolve.resolve(
-                segmented, color, gbuffer, blended, traced.color, params.resolve
+                segmented, color, gbuffer, blended, traced.color, params.resolve,
+                config=config.resolve,
             ),
-        )
+        )  # fmt: skip
     image = colors.display(resolved.composite)
     if config.adaptive:
         with jax.named_scope("fxaa"):

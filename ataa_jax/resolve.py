@@ -6,6 +6,8 @@ The history stores exactly this composite: traced pixels feed the next frame's T
 (paper, section 5).
 """
 
+from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
@@ -22,6 +24,15 @@ from ataa_jax.types import (
     History,
     Segmentation,
 )
+
+
+@dataclass(frozen=True)
+class Config:
+    """Choices that change the program."""
+
+    # Traced colours go into the history (paper, section 5). False: it stores the TAA
+    # result and its count at the traced pixels; what is shown stays the composite.
+    feedback: bool = True
 
 
 class Params(eqx.Module):
@@ -62,7 +73,7 @@ class ResolveOutput(eqx.Module):
     classification: Classification
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="config")
 def resolve(
     segmented: Segmentation,
     color: Float[Array, "h w 3"],
@@ -70,6 +81,8 @@ def resolve(
     blended: Blended,
     traced: Float[Array, "h w 3"],
     params: Params,
+    *,
+    config: Config,
 ) -> ResolveOutput:
     """Composes the frame by the mask.
 
@@ -80,6 +93,7 @@ def resolve(
         blended: the TAA result.
         traced: linear colour of the traced pixels; not read elsewhere.
         params: what a traced pixel counts as.
+        config: whether traced colours feed the history.
 
     Returns:
         Composite and state. NaN, inf and negative radiance end here, whichever
@@ -87,18 +101,15 @@ def resolve(
     """
     method = segmented.mask & jnp.uint32(0xFFFF)
     is_fxaa, is_ataa = method == METHOD_FXAA, method == METHOD_ATAA
-    composite = colors.sanitize(
-        jnp.where(
-            is_fxaa[..., None],
-            color,
-            jnp.where(is_ataa[..., None], traced, blended.color),
-        )
-    )
-    count = jnp.where(is_ataa, params.traced_count, blended.count)
+    untraced = jnp.where(is_fxaa[..., None], color, blended.color)
+    composite = colors.sanitize(jnp.where(is_ataa[..., None], traced, untraced))
+    stored, count = composite, jnp.where(is_ataa, params.traced_count, blended.count)
+    if not config.feedback:
+        stored, count = colors.sanitize(untraced), blended.count
     return ResolveOutput(
         composite=composite,
         history=History(
-            color=composite,
+            color=stored,
             depth=gbuffer.depth,
             motion=gbuffer.motion,
             count=jnp.where(is_fxaa, 1.0, count),

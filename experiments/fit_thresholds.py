@@ -141,7 +141,8 @@ def rank(names: list[str], draws: int = 40) -> None:
             hard.append(1.0 - score.at_budget(take, own, BUDGET).ssim)
             soft.append(relaxed.at_budget(own, pixels, OPTIONS.terms, BUDGET))
             rows.append((name, soft[-1], hard[-1]))
-        print(name, spearmanr(soft, hard)[0], flush=True)
+        correlation, _ = spearmanr(soft, hard)
+        print(name, correlation, flush=True)
     write("fit_rank.csv", ("scene", "relaxed", "hard"), rows)
 
 

@@ -42,22 +42,43 @@ def frame(size, seed=0):
     return method, segmented, image(3), gbuffer, blended, image(3)
 
 
+@pytest.mark.parametrize("feedback", [True, False])
 @pytest.mark.parametrize("size", [(7, 9), (1, 1), (5, 4)])
-def test_every_pixel_comes_from_its_methods_source(size):
+def test_every_pixel_comes_from_its_methods_source(size, feedback):
     method, segmented, raw, gbuffer, blended, traced = frame(size)
     params = resolve.default_params(traced_count=8.0)
-    out = resolve.resolve(segmented, raw, gbuffer, blended, traced, params)
+    config = resolve.Config(feedback=feedback)
+    out = resolve.resolve(
+        segmented, raw, gbuffer, blended, traced, params, config=config
+    )
     sources = (raw, blended.color, traced, blended.count)
-    color, count = oracle.resolve(method, *map(np.asarray, sources), 8.0)
+    color, count, stored = oracle.resolve(
+        method, *map(np.asarray, sources), 8.0, feedback=feedback
+    )
     np.testing.assert_array_equal(out.composite, color.astype(np.float32))
     np.testing.assert_array_equal(out.history.count, count.astype(np.float32))
+    np.testing.assert_array_equal(out.history.color, stored.astype(np.float32))
+
+
+def test_without_feedback_only_the_history_of_traced_pixels_differs():
+    method, *inputs = frame((9, 8))
+    params = resolve.default_params(traced_count=8.0)
+    fed = resolve.resolve(*inputs, params, config=resolve.Config())
+    unfed = resolve.resolve(*inputs, params, config=resolve.Config(feedback=False))
+    np.testing.assert_array_equal(unfed.composite, fed.composite)
+    np.testing.assert_array_equal(unfed.classification.mask, fed.classification.mask)
+    for name in ("color", "count"):
+        differs = np.asarray(getattr(unfed.history, name) != getattr(fed.history, name))
+        differs = differs.reshape(*method.shape, -1).any(axis=-1)
+        np.testing.assert_array_equal(differs, method == types.METHOD_ATAA)
 
 
 def test_the_history_stores_the_composite_and_the_gbuffer_beside_it():
     _, segmented, raw, gbuffer, blended, traced = frame((6, 5))
     out = resolve.resolve(
-        segmented, raw, gbuffer, blended, traced, resolve.default_params()
-    )
+        segmented, raw, gbuffer, blended, traced, resolve.default_params(),
+        config=resolve.Config(),
+    )  # fmt: skip
     np.testing.assert_array_equal(out.history.color, out.composite)
     np.testing.assert_array_equal(out.history.depth, gbuffer.depth)
     np.testing.assert_array_equal(out.history.motion, gbuffer.motion)
@@ -65,22 +86,26 @@ def test_the_history_stores_the_composite_and_the_gbuffer_beside_it():
     assert bool(out.history.valid)
 
 
-def test_bad_values_of_any_source_end_here():
+@pytest.mark.parametrize("feedback", [True, False])
+def test_bad_values_of_any_source_end_here(feedback):
     _, segmented, _, gbuffer, blended, _ = frame((6, 5))
     bad = jnp.full((6, 5, 3), jnp.nan, jnp.float32).at[..., 1].set(jnp.inf)
     bad = bad.at[..., 2].set(-1.0)
     blended = Blended(color=bad, count=blended.count)
     out = resolve.resolve(
-        segmented, bad, gbuffer, blended, bad, resolve.default_params()
-    )
+        segmented, bad, gbuffer, blended, bad, resolve.default_params(),
+        config=resolve.Config(feedback=feedback),
+    )  # fmt: skip
     expected = np.broadcast_to(np.float32([0.0, 65504.0, 0.0]), (6, 5, 3))
     np.testing.assert_array_equal(out.composite, expected)
+    np.testing.assert_array_equal(out.history.color, expected)
 
 
 def test_jit_equals_eager():
     _, *inputs = frame((4, 5))
     params = resolve.default_params()
-    jitted = resolve.resolve(*inputs, params)
-    with jax.disable_jit():
-        eager = resolve.resolve(*inputs, params)
-    jax.tree.map(np.testing.assert_array_equal, jitted, eager)
+    for config in (resolve.Config(), resolve.Config(feedback=False)):
+        jitted = resolve.resolve(*inputs, params, config=config)
+        with jax.disable_jit():
+            eager = resolve.resolve(*inputs, params, config=config)
+        jax.tree.map(np.testing.assert_array_equal, jitted, eager)

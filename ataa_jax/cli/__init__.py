@@ -344,7 +344,7 @@ def _prepare(
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
         own = pipeline.Config().segmentation
-        options["choices"] = parameters.choices(table, own, where)
+        options["segmentation"] = parameters.choices(table, own, where)
         if asked is None:  # the file's budget counts, but the command line wins
             budget = float(options["params"].budget)
     options["budget"] = budget

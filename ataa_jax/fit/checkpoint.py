@@ -8,7 +8,7 @@ import hashlib
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -39,7 +39,7 @@ class Checkpoints:
         leaves, tree = jax.tree.flatten(like)
         try:
             with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-                found = [data[f"leaf{index}"] for index in range(len(leaves))]
+                found = [data[f"arr_{index}"] for index in range(len(leaves))]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
         pairs = zip(found, leaves, strict=True)
@@ -56,8 +56,7 @@ class Checkpoints:
             return
         leaves: list[np.ndarray] = [np.asarray(x) for x in jax.tree.leaves(tree)]
         with files.atomic(file) as part, part.open("wb") as stream:
-            named: dict[str, Any] = {f"leaf{i}": x for i, x in enumerate(leaves)}
-            np.savez(stream, **named)
+            np.savez(stream, *leaves)  # named arr_0, arr_1, …
 
 
 def hashed(text: str) -> str:
