@@ -121,6 +121,10 @@ def init(size: tuple[int, int]) -> State:
     )
 
 
+# Segmentation preset by default.
+CRITERIA = "paper"
+
+
 def preset(
     name: str,
     scene: Scene | None,
@@ -129,6 +133,7 @@ def preset(
     samples: int = 8,
     budget: float = 0.5,
     selection: effects.Selection | None = None,
+    criteria: str = CRITERIA,
 ) -> tuple[Config, Params]:
     """Returns configuration and parameters for a scene.
 
@@ -141,6 +146,8 @@ def preset(
             8x stays under 0.5. inf: no cap.
         selection: effects to compile for, such as `Sequence.effects`; by default what
             the scene calls for, in any motion.
+        criteria: segmentation preset: "paper" weighs luminance and depth equally,
+            "fitted" is what `fit` found.
 
     Raises:
         InputError: unknown preset, or values out of range.
@@ -149,6 +156,9 @@ def preset(
         raise InputError(
             f"unknown preset '{name}'; known are {', '.join(sorted(taa.PRESETS))}"
         )
+    if criteria not in segmentation.PRESETS:
+        known = ", ".join(sorted(segmentation.PRESETS))
+        raise InputError(f"unknown criteria '{criteria}'; known are {known}")
     if samples not in (2, 4, 8):
         raise InputError(f"ATAA traces 2, 4 or 8 rays a pixel, not {samples}")
     if not budget >= 0.0:
@@ -165,12 +175,13 @@ def preset(
             object_motion=selection.object_motion,
         ),
         taa=taa_config,
+        segmentation=segmentation.PRESETS[criteria][0],
         raytrace=raytrace.Config(samples=samples, shading=selection.shading),
     )
     params = Params(
         raster=raster.default_params(MIP_BIAS[name]),
         taa=taa_params,
-        segmentation=segmentation.default_params(),
+        segmentation=segmentation.PRESETS[criteria][1],
         resolve=resolve.default_params(),
         fxaa=fxaa.default_params(),
         budget=jnp.asarray(budget, jnp.float32),

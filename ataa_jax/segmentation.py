@@ -150,6 +150,23 @@ def default_params(
     )
 
 
+PRESETS: dict[str, tuple[Config, Params]] = {
+    # Section 3: luminance and depth, weighted equally.
+    "paper": (Config(), default_params()),
+    # data/fitted.toml, by experiments/fit_thresholds.py: six scenes, 0.5 rays a pixel.
+    "fitted": (
+        Config(use_response=True),
+        default_params(
+            threshold=0.028346673,
+            depth_weight=0.24085346,
+            response_weight=61.009678,
+            reset_px=2.424333,
+            hold=0,
+        ),
+    ),
+}
+
+
 def pack_mask(
     method: UInt[Array, "h w"], history: UInt[Array, "h w"]
 ) -> UInt[Array, "h w"]:

@@ -120,6 +120,24 @@ def failures() -> str:
     return markdown(head, rows)
 
 
+def fit() -> str:
+    """Weights fitted to five scenes, on the sixth."""
+    rows = [
+        [
+            NAMES[row["scene"]],
+            *(
+                f"{float(row[key]):.4f}"
+                for key in ("taa", "random", "equal", "fitted", "oracle")
+            ),
+            percent(row["closed"]),
+            f"{float(row['carried']):.4f} at {float(row['carried_rays']):.2f}",
+        ]
+        for row in read("fit_held_out.csv")
+    ]
+    head = ["SSIM, held out", "TAA", "random", "equal weights", "fitted", "oracle"]
+    return markdown([*head, "closed", "carried over"], rows)
+
+
 def main() -> None:
     """Replaces what stands between the markers."""
     text = README.read_text("utf-8")
@@ -128,6 +146,7 @@ def main() -> None:
         ("shares", shares()),
         ("still", still()),
         ("failures", failures()),
+        ("fit", fit()),
     ):
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.escape(begin) + ".*?" + re.escape(end)

@@ -443,3 +443,38 @@ def test_parameters_do_not_compile_anew():
     assert segmentation.segmentation._cache_size() == before
     run(inputs, replace(CONFIG, use_depth=False))
     assert segmentation.segmentation._cache_size() == before + 1
+
+
+def test_the_response_fires_where_the_taa_result_left_its_history():
+    state, color, gbuffer, then = frame((3, 8))
+    blended = then.at[:, 4].set(0.9)
+    config = replace(CONFIG, use_response=True)
+    params = segmentation.default_params(threshold=0.03, response_weight=100.0)
+    out = segmentation.segmentation(
+        state, color, gbuffer, then, params, config=config, blended=blended
+    )
+    method, _ = segmentation.unpack_mask(out.mask)
+    expected = np.arange(8) == 4
+    np.testing.assert_array_equal(np.asarray(method[1]) == types.METHOD_ATAA, expected)
+    np.testing.assert_array_equal(out.why[1], expected * types.WHY_RESPONSE)
+
+
+def test_the_response_term_agrees_with_the_oracle():
+    rng = np.random.default_rng(4)
+    blended, then = rng.uniform(0.0, 4.0, (2, 5, 7, 3)).astype(np.float32)
+
+    def shown(image):
+        mapped = image.astype(float) / (1.0 + image.max(axis=-1, keepdims=True))
+        low = mapped <= 0.0031308
+        return np.where(low, 12.92 * mapped, 1.055 * mapped ** (1 / 2.4) - 0.055)
+
+    expected = np.sqrt(((shown(blended) - shown(then)) ** 2).mean(axis=-1))
+    term = terms.response(jnp.asarray(blended), jnp.asarray(then))
+    # A few float32 steps of a power near 1.
+    np.testing.assert_allclose(term, expected, atol=1e-6)
+
+
+def test_the_response_without_a_taa_result_is_refused():
+    config = replace(CONFIG, use_response=True)
+    with pytest.raises(ValueError, match="asks for the TAA result"):
+        run(frame((3, 4)), config)

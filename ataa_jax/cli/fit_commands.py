@@ -38,10 +38,7 @@ Terms = Annotated[
         metavar="NAMES", help="Criteria to weigh, with commas; the first weighs 1."
     ),
 ]
-_HEADS = (
-    "scene", "TAA", "random", "equal", "fitted", "oracle", "efficiency", "closed",
-    "rays/px", "carried",
-)  # fmt: skip
+_HEADS = ("scene", "TAA", "random", "equal", "fitted", "oracle", "closed", "carried")
 
 
 def fit(
@@ -82,6 +79,7 @@ def fit(
     from ataa_jax import reference
 
     fits.check_budget(budget)
+    fits.check_size(extent)
     also = ("taa.count_limit", "resolve.traced_count") if taa else ()
     options = fits.Options(
         budget=budget,
@@ -150,10 +148,16 @@ def _record(
 def _show(found: "Fitted", output: Path) -> None:
     console = Console(soft_wrap=True, highlight=False)
     rows = [_row(each, "") for each in found.standings]
-    rows += [_row(each, " (held out)") for each in found.held_out]
+    rows += [_row(each, " *") for each in found.held_out]
     right = tuple(range(1, len(_HEADS)))
     console.print(terminal.table(_HEADS, rows, right=right))
-    terminal.notes(console, found.notes)
+    told = [
+        f"all at {found.options.budget:g} rays a pixel, by thresholds of their own; "
+        "carried: the file untouched",
+        *(["*: held out"] if found.held_out else []),
+        *found.notes,
+    ]
+    terminal.notes(console, told)
     console.print(f"\nWrote {output}; use it with --params", markup=False)
 
 
@@ -163,10 +167,8 @@ def _row(standing: "Standing", suffix: str) -> tuple[str, ...]:
     return (
         s.scene + suffix,
         *(f"{value:.4f}" for value in scores),
-        f"{s.efficiency:.2f}",
         f"{s.closed:.2f}",
-        f"{s.rays:.3f}",
-        f"{s.carried:.4f} at {s.carried_rays:.2f}",
+        f"{s.carried:.4f}",
     )
 
 

@@ -10,6 +10,7 @@ from ataa_jax.fit.fitting import (
     Standing,
     check,
     check_options,
+    check_size,
     checkpoints_of,
     fit,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "check",
     "check_budget",
     "check_options",
+    "check_size",
     "checkpoints_of",
     "export",
     "fit",

@@ -80,7 +80,8 @@ class Fitted:
     options: Options
     size: tuple[int, int]
     frames: int
-    evaluations: int
+    evaluations: int  # of the closed loop
+    relaxed_evaluations: int  # of the relaxed loss: values, gradients, columns
     standings: list[Standing]
     held_out: list[Standing] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -98,11 +99,7 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
     first = recordings[0]
     samples = first.config.raytrace.samples
     score.check_budget(options.budget, samples)
-    if min(first.size) < SSIM_MIN_SIZE:
-        raise InputError(
-            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give a larger --size "
-            f"than {first.size[1]}x{first.size[0]}"
-        )
+    check_size(first.size)
     for each in recordings:
         if each.size != first.size or each.config.raytrace.samples != samples:
             raise InputError(
@@ -116,6 +113,19 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
                 f"the reference of {each.name} is of shape {shape}, its frames of "
                 f"{tuple(each.frames.color.shape)}; render it at the same size"
             )
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Refuses images that SSIM is not defined for.
+
+    Raises:
+        InputError: fewer than 11 pixels a side.
+    """
+    if min(size) < SSIM_MIN_SIZE:
+        raise InputError(
+            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give a larger --size "
+            f"than {size[1]}x{size[0]}"
+        )
 
 
 def check_options(options: Options) -> None:
@@ -159,7 +169,7 @@ def fit(
     quantities = (*space.weights(options.terms), *space.named(options.quantities))
     takes = tuple(Take.of(each) for each in recordings)
     on = tuple(take.under(config) for take in takes)
-    notes, evaluations, params = [], 0, start
+    notes, params, evaluations = [], start, (0, 0)
 
     progress("yardsticks", 0, 1)
     bases = [_yardsticks(take, start, options) for take in takes]
@@ -192,7 +202,8 @@ def fit(
         options=options,
         size=recordings[0].size,
         frames=len(recordings[0].truth),
-        evaluations=evaluations,
+        evaluations=evaluations[0],
+        relaxed_evaluations=evaluations[1],
         standings=standings[: len(recordings)],
         held_out=standings[len(recordings) :],
         notes=notes,
@@ -206,8 +217,9 @@ def _search(
     quantities: tuple[space.Quantity, ...],
     checkpoints: Checkpoints,
     progress: Progress,
-) -> tuple[pipeline.Params, int]:
-    params, evaluations = start, 0
+) -> tuple[pipeline.Params, tuple[int, int]]:
+    """Returns parameters, and evaluations of the closed loop and the relaxed loss."""
+    params, hard, relaxed = start, 0, 0
     holds = space.HOLD in quantities
     if options.solver != "none" and len(options.terms) > 1:
         base = space.place(start, (space.HOLD,), jnp.zeros(1)) if holds else start
@@ -222,7 +234,8 @@ def _search(
             checkpoints=checkpoints,
             progress=progress,
         )
-        params, evaluations = found.params, found.evaluations
+        params = found.params
+        hard, relaxed = found.hard_evaluations, found.evaluations
     if options.steps and quantities:
         closed = optimize.nelder_mead(
             score.compiled(quantities),
@@ -232,9 +245,9 @@ def _search(
             checkpoints=checkpoints,
             progress=progress,
         )
-        evaluations += closed.evaluations
+        hard += closed.evaluations
         params = space.place(params, quantities, space.free(jnp.asarray(closed.x)))
-    return params, evaluations
+    return params, (hard, relaxed)
 
 
 def _yardsticks(

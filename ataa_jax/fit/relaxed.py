@@ -26,7 +26,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt
 from scipy.ndimage import gaussian_filter
 
 from ataa_jax import color as colors
@@ -59,25 +59,27 @@ class Soft(eqx.Module):
     samples: Float[Array, ""]  # rays a traced pixel
 
 
-class _Shown(eqx.Module):
+class Shown(eqx.Module):
+    """What a mask chooses between, a frame; stacked along a leading axis."""
+
     terms: Float[Array, "h w k"]
     blended: Float[Array, "h w 3"]
     traced: Float[Array, "h w 3"]
-    open: Array  # bool (h, w): neither new nor disoccluded
+    method: UInt[Array, "h w"]  # METHOD_*, of the hard mask
 
 
 @partial(jax.jit, static_argnames=("config", "names"))
-def _look(
+def look(
     frames: Recorded,
     params: pipeline.Params,
     *,
     config: pipeline.Config,
     names: tuple[str, ...],
-) -> _Shown:
+) -> Shown:
     """Replays the hard mask, and keeps what a soft one would choose between."""
     choose = replay.by_criteria(config.segmentation)
 
-    def body(state: State, recorded: Recorded) -> tuple[State, _Shown]:
+    def body(state: State, recorded: Recorded) -> tuple[State, Shown]:
         valid = state.history.valid & ~recorded.cut
         state = eqx.tree_at(lambda s: s.history.valid, state, valid)
         blended = taa.taa(
@@ -91,11 +93,11 @@ def _look(
             params.segmentation, config.segmentation,
         )  # fmt: skip
         by_name = {each.name: each.term for each in found}
-        shown = _Shown(
+        shown = Shown(
             terms=jnp.stack([by_name[name] for name in names], axis=-1),
             blended=colors.display(blended.color),
             traced=colors.display(recorded.traced),
-            open=method != METHOD_FXAA,
+            method=method,
         )
         done = resolve.resolve(
             segmented, recorded.color, recorded.gbuffer, blended, recorded.traced,
@@ -128,15 +130,15 @@ def gather(
     rng = np.random.default_rng(seed)
     parts: list[list[np.ndarray]] = [[], [], [], []]
     for take, own in zip(takes, params, strict=True):
-        shown = _look(take.frames, own, config=take.config, names=names)
-        terms, b, t, is_open = (
+        shown = look(take.frames, own, config=take.config, names=names)
+        terms, b, t, method = (
             np.asarray(leaf)[take.lead_in :]
-            for leaf in (shown.terms, shown.blended, shown.traced, shown.open)
+            for leaf in (shown.terms, shown.blended, shown.traced, shown.method)
         )
         truth = np.asarray(take.frames.truth)[take.lead_in :]
         below = _variance(b) + _variance(truth) + _C2
         e, d = b - truth, t - b
-        where = np.flatnonzero(is_open)
+        where = np.flatnonzero(method != METHOD_FXAA)
         share = max(pixels // len(takes), 1)
         if len(where) > share:
             where = np.sort(rng.choice(where, share, replace=False))

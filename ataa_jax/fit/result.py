@@ -42,6 +42,7 @@ def table(fitted: Fitted, scenes: dict[str, str]) -> dict[str, Any]:
             "size": f"{width}x{height}",
             "frames": fitted.frames,
             "evaluations": fitted.evaluations,
+            "relaxed_evaluations": fitted.relaxed_evaluations,
             "notes": fitted.notes,
             "versions": versions(),
             "scene": [_scene(each, scenes) for each in fitted.standings],

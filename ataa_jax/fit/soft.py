@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ataa_jax import pipeline
 from ataa_jax.fit import relaxed, score, space
@@ -36,7 +36,8 @@ class SoftFit:
     params: pipeline.Params
     hard_ssim: float  # closed loop, hard mask, mean over the sequences
     price: float
-    evaluations: int
+    evaluations: int  # of the relaxed loss: values, gradients, columns
+    hard_evaluations: int  # of the closed loop
     rounds: int
 
 
@@ -80,7 +81,7 @@ def fit(
     current, best, best_ssim, price, evaluations, done = state
     price = jnp.where(done > 0, price, _FIRST_PRICE)
     while int(done) < rounds:
-        at = _with_weights(params, quantities, jnp.exp(current))
+        at = with_weights(params, quantities, jnp.exp(current))
         results = [score.at_budget(take, at, budget) for take in takes]
         ssim = float(np.mean([each.ssim for each in results]))
         if ssim > float(best_ssim):
@@ -98,7 +99,7 @@ def fit(
         y, price, spent = _priced(points, pixels, budget, float(price), takes, solver)
         moved = float(jnp.max(jnp.abs(y[:-1] - current), initial=0.0))
         current = y[:-1]
-        evaluations = evaluations + spent + 1
+        evaluations = evaluations + spent
         done = done + 1
         checkpoints.save(
             f"soft-{solver}",
@@ -107,15 +108,16 @@ def fit(
         progress(f"relaxed fit ({solver}), {ssim:.5f}", int(done), rounds)
         if moved < 0.05:  # our choice: 5 % of a weight
             break
-    at = _with_weights(params, quantities, jnp.exp(current))
+    at = with_weights(params, quantities, jnp.exp(current))
     last = float(np.mean([score.at_budget(take, at, budget).ssim for take in takes]))
     if last >= float(best_ssim):
         best, best_ssim = current, jnp.float32(last)
     return SoftFit(
-        params=_with_weights(params, quantities, jnp.exp(best)),
+        params=with_weights(params, quantities, jnp.exp(best)),
         hard_ssim=float(best_ssim),
         price=float(price),
-        evaluations=int(evaluations) + 1,
+        evaluations=int(evaluations),
+        hard_evaluations=int(done) + 1,
         rounds=int(done),
     )
 
@@ -130,11 +132,12 @@ def _values(
     return jnp.stack(found) if found else jnp.zeros((0,), jnp.float32)
 
 
-def _with_weights(
+def with_weights(
     params: pipeline.Params,
     quantities: tuple[space.Quantity, ...],
     values: Float[Array, " k"],
 ) -> pipeline.Params:
+    """Returns the parameters under other weights, limited to their bounds."""
     for quantity, value in zip(quantities, values, strict=True):
         field = quantity.name.removeprefix("segmentation.")
         limited = jnp.clip(value, quantity.low, quantity.high)
@@ -195,10 +198,30 @@ def _priced(
     return best, price, spent
 
 
+def at_price(
+    start: Float[Array, " k"],
+    pixels: Pixels,
+    price: float,
+    samples: int,
+    *,
+    solver: Solver = "lm",
+) -> Float[Array, " k"]:
+    """Returns the point that is best at a price a ray, whatever rays it spends."""
+    points = start[None]
+    for temperature in relaxed.TEMPERATURES:
+        soft = Soft(
+            temperature=jnp.float32(temperature),
+            price=jnp.float32(price),
+            samples=jnp.float32(samples),
+        )
+        points, _, _ = minimise(points, (pixels, soft), solver=solver)
+    return points[0]
+
+
 @eqx.filter_jit
 def minimise(
     points: Float[Array, "s k"], args: tuple[Pixels, Soft], *, solver: Solver
-) -> tuple[Float[Array, "s k"], Float[Array, " s"], Float[Array, " s"]]:
+) -> tuple[Float[Array, "s k"], Float[Array, " s"], Int[Array, " s"]]:
     """Runs optimistix from several starts at once.
 
     Returns:
