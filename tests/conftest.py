@@ -1,5 +1,6 @@
 """Settings that every test runs under; they must stand before JAX is imported."""
 
+import gc
 import os
 
 os.environ["JAX_PLATFORMS"] = "cpu"
@@ -19,3 +20,15 @@ hypothesis.settings.load_profile("ataa")
 def backend(request: pytest.FixtureRequest) -> str:
     """Embree's entry points: packets of rays, or embreex's own `run`."""
     return request.param
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_programs_go_with_their_module():
+    """Frees what a module compiled.
+
+    Every scene has a tracer of its own, for which all stages compile anew; a process
+    that keeps thousands of programs runs out of memory mappings and dies compiling.
+    """
+    yield
+    jax.clear_caches()
+    gc.collect()

@@ -101,7 +101,7 @@ def look(
         )
         done = resolve.resolve(
             segmented, recorded.color, recorded.gbuffer, blended, recorded.traced,
-            params.resolve,
+            params.resolve, config=config.resolve,
         )  # fmt: skip
         after = State(history=done.history, classification=done.classification)
         return after, shown

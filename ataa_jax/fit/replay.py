@@ -102,6 +102,7 @@ def step(
         blended,
         recorded.traced,
         params.resolve,
+        config=config.resolve,
     )
     image = resolved.composite
     if shown:
