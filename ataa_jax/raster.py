@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ataa_jax import camera as cameras
 from ataa_jax import embree, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
+from ataa_jax.shading import clear_of
 from ataa_jax.surface import Surface, interpolate, previous_position
 from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Rays, Scene
 from ataa_jax.vector import Vec3
@@ -148,7 +149,7 @@ def _band(
         tile=tile,
     )
     hits, surface = traced.shown, traced.surface
-    if config.shading.transparency and tracer.clear is not None:
+    if clear_of(tracer, config.shading) is not None:
         surface = interpolate(
             scene.geometry, inputs.world_from_group, hits, direction, None
         )

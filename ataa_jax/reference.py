@@ -6,26 +6,24 @@ low-discrepancy set (`sampling.reference_pattern`).
 """
 
 import hashlib
-import inspect
-import os
 import re
-import tempfile
-import zipfile
+import sys
 from collections.abc import Callable
-from functools import cache, partial
-from pathlib import Path
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import platformdirs
 from jaxtyping import Array, Bool, Float
 
 from ataa_jax import (
+    cache,
     camera,
+    compact,
     embree,
     layers,
+    material,
     raster,
     sampling,
     shading,
@@ -151,11 +149,11 @@ def reference(
     """
     inputs = shot.inputs(frame)
     key = _content_key(shot.world, inputs, shot.size, samples, average)
-    file = cache_folder() / "reference" / f"{key}.npz"
-    if use_cache and (found := _read(file, shot.size)) is not None:
+    file = cache.folder() / "reference" / f"{key}.npz"
+    if use_cache and (found := cache.read(file, _like(shot.size))) is not None:
         for _ in range(samples):
             progress()
-        return found
+        return jax.tree.map(jnp.asarray, found)
     result = supersample(
         shot.world,
         inputs,
@@ -165,31 +163,23 @@ def reference(
         progress=progress,
     )
     if use_cache:
-        _write(file, result)
+        cache.write(file, result, CACHE_LIMIT_BYTES)
     return result
 
 
-def cache_folder() -> Path:
-    """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
-    return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
+def _like(size: tuple[int, int]) -> Supersampled:
+    """Returns the shapes and types of a result."""
+    return jax.eval_shape(
+        lambda: Supersampled(color=jnp.zeros((*size, 3)), thin=jnp.zeros(size))
+    )
 
 
-_MODULES = (
-    *(camera, embree, layers, raster, sampling, shading, surface, texture),
-    *(transport, vector),
-)
-
-
-@cache
-def _code_hash() -> str:
-    """Hashes the sources that decide an image: an old cache is never believed."""
-    digest = hashlib.blake2b(digest_size=16)
-    for module in _MODULES:
-        file = Path(inspect.getfile(module))
-        parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
-        for part in parts:
-            digest.update(part.read_bytes())
-    return digest.hexdigest()
+def code_hash() -> str:
+    """Hashes the sources that decide an image."""
+    return cache.code_hash(
+        *(camera, colors, compact, embree, layers, material, raster, sampling, shading),
+        *(surface, texture, transport, vector, sys.modules[__name__]),
+    )
 
 
 def _content_key(
@@ -200,45 +190,8 @@ def _content_key(
     average: str,
 ) -> str:
     digest = hashlib.blake2b(digest_size=20)
-    digest.update(f"{_code_hash()} {size} {samples} {average}".encode())
+    digest.update(f"{code_hash()} {size} {samples} {average}".encode())
     digest.update(world.content_hash.encode())
     for array in jax.tree.leaves((inputs.camera, inputs.world_from_group)):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
-
-
-def _read(file: Path, size: tuple[int, int]) -> Supersampled | None:
-    """Returns a cached image, or None where there is none or it is damaged."""
-    try:
-        # Opened here: numpy leaves a damaged file open.
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            color, thin = data["color"], data["thin"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-    if color.shape != (*size, 3) or thin.shape != size or color.dtype != np.float32:
-        return None
-    return Supersampled(color=jnp.asarray(color), thin=jnp.asarray(thin, jnp.float32))
-
-
-def _write(file: Path, result: Supersampled) -> None:
-    """Writes atomically; a cache that cannot be written is no error."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(
-                stream, color=np.asarray(result.color), thin=np.asarray(result.thin)
-            )
-        Path(name).replace(file)
-        _prune(file.parent)
-    except OSError:
-        return
-
-
-def _prune(folder: Path) -> None:
-    files = sorted(folder.glob("*.npz"), key=lambda f: f.stat().st_mtime)
-    total = sum(f.stat().st_size for f in files)
-    while files and total > CACHE_LIMIT_BYTES:
-        oldest = files.pop(0)
-        total -= oldest.stat().st_size
-        oldest.unlink(missing_ok=True)

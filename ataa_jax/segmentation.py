@@ -22,9 +22,17 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import compact, terms, window
+from ataa_jax import terms, window
+from ataa_jax.mask import (
+    HOLD_MAX,
+    all_taa,
+    apply_budget,
+    bit,
+    pack_mask,
+    unpack_mask,
+)
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -37,7 +45,6 @@ from ataa_jax.types import (
     WHY_NORMAL,
     WHY_OBJECT,
     WHY_OFF_SCREEN,
-    WHY_OVER_BUDGET,
     WHY_RESET,
     WHY_RESPONSE,
     WHY_SPREAD,
@@ -46,7 +53,20 @@ from ataa_jax.types import (
     State,
 )
 
-_HOLD_MAX = 65535  # 16 bits: the counter saturates, it never wraps
+__all__ = [
+    "PRESETS",
+    "Config",
+    "Criterion",
+    "Params",
+    "all_taa",
+    "apply_budget",
+    "criteria",
+    "default_params",
+    "pack_mask",
+    "segment",
+    "segmentation",
+    "unpack_mask",
+]
 
 
 @dataclass(frozen=True)
@@ -167,40 +187,6 @@ PRESETS: dict[str, tuple[Config, Params]] = {
 }
 
 
-def pack_mask(
-    method: UInt[Array, "h w"], history: UInt[Array, "h w"]
-) -> UInt[Array, "h w"]:
-    """Packs a mask: method in the low 16 bits, classification history in the high.
-
-    Args:
-        method: METHOD_*, uint32.
-        history: frames to hold, uint32; more than 65535 counts as 65535.
-    """
-    history = jnp.minimum(history, jnp.uint32(_HOLD_MAX))
-    return method | (history << jnp.uint32(16))
-
-
-def unpack_mask(
-    mask: UInt[Array, "h w"],
-) -> tuple[UInt[Array, "h w"], UInt[Array, "h w"]]:
-    """Returns (method, classification history) of a packed mask, both uint32."""
-    return mask & jnp.uint32(0xFFFF), mask >> jnp.uint32(16)
-
-
-def all_taa(size: tuple[int, int]) -> Segmentation:
-    """Returns the segmentation of plain TAA: every pixel, and no reason to doubt it."""
-    nothing = jnp.zeros(size, jnp.float32)
-    return Segmentation(
-        mask=pack_mask(
-            jnp.full(size, METHOD_TAA, jnp.uint32), jnp.zeros(size, jnp.uint32)
-        ),
-        why=jnp.zeros(size, jnp.uint16),
-        score=nothing,
-        luminance=nothing,
-        depth=nothing,
-    )
-
-
 @partial(jax.jit, static_argnames="config")
 def segment(
     state: State,
@@ -285,7 +271,7 @@ def segmentation(
 
     # Paper: held pixels may exit early. Here they are still tested, at no loss, so that
     # the counter runs from the last frame that fired; holding alone never renews it.
-    full = jnp.clip(params.hold, 0, _HOLD_MAX).astype(jnp.uint32)
+    full = jnp.clip(params.hold, 0, HOLD_MAX).astype(jnp.uint32)
     counter = jnp.where(held, held_frames - jnp.uint32(1), jnp.uint32(0))
     counter = jnp.where(fires, full if config.use_history else jnp.uint32(0), counter)
     method = jnp.where(
@@ -294,16 +280,16 @@ def segmentation(
         jnp.where(held | fires, jnp.uint32(METHOD_ATAA), jnp.uint32(METHOD_TAA)),
     )
     why = (
-        _bit(new, WHY_OFF_SCREEN)
-        | _bit(disoccluded, WHY_DISOCCLUDED)
-        | _bit(held, WHY_HELD)
-        | _bit(reset, WHY_RESET)
+        bit(new, WHY_OFF_SCREEN)
+        | bit(disoccluded, WHY_DISOCCLUDED)
+        | bit(held, WHY_HELD)
+        | bit(reset, WHY_RESET)
     )
     zeros = jnp.zeros(new.shape, jnp.float32)
     found: dict[int, Array] = {WHY_LUMINANCE: zeros, WHY_DEPTH: zeros}
     for each in on:
         limit = params.threshold if config.reading == "sum" else each.threshold
-        why |= _bit(fires & (each.term > limit), each.why)
+        why |= bit(fires & (each.term > limit), each.why)
         found[each.why] = each.term
     return Segmentation(
         mask=pack_mask(method, counter),
@@ -362,10 +348,6 @@ def criteria(
         term = terms.response(blended, reprojected)
         add("response", WHY_RESPONSE, term, params.response_threshold)
     return found
-
-
-def _bit(condition: Bool[Array, "h w"], bit: int) -> UInt[Array, "h w"]:
-    return jnp.where(condition, jnp.uint16(bit), jnp.uint16(0))
 
 
 def _motion_change(
@@ -427,66 +409,3 @@ def _score(
     total = sum((c.weight for c in on), zero)
     weighted = sum((c.weight * c.term for c in on), zero)
     return weighted / jnp.where(total > 0.0, total, 1.0), params.threshold
-
-
-@jax.jit
-def apply_budget(
-    segmented: Segmentation, max_pixels: Int[Array, ""]
-) -> tuple[Segmentation, Int[Array, ""]]:
-    """Leaves rays to the pixels of the highest scores, at most `max_pixels` of them.
-
-    Of equal scores the first in row-major order win. The rest become TAA's, with
-    WHY_OVER_BUDGET; they keep their hold counters, and so ask again.
-
-    Args:
-        segmented: the mask wanted.
-        max_pixels: int32; below 0 counts as 0.
-
-    Returns:
-        (segmentation, pixels that lost their rays).
-    """
-    method, counter = unpack_mask(segmented.mask)
-    wants = method == METHOD_ATAA
-    wanted = jnp.sum(wants, dtype=jnp.int32)
-    allowed = jnp.maximum(max_pixels, 0)
-    keeps = jax.lax.cond(
-        wanted > allowed,
-        _highest,
-        lambda wants, score, allowed: wants,
-        wants,
-        segmented.score,
-        allowed,
-    )
-    loses = wants & ~keeps
-    method = jnp.where(loses, jnp.uint32(METHOD_TAA), method)
-    limited = Segmentation(
-        mask=pack_mask(method, counter),
-        why=segmented.why | _bit(loses, WHY_OVER_BUDGET),
-        score=segmented.score,
-        luminance=segmented.luminance,
-        depth=segmented.depth,
-    )
-    return limited, jnp.maximum(wanted - allowed, 0)
-
-
-def _highest(
-    wants: Bool[Array, "h w"], score: Float[Array, "h w"], allowed: Int[Array, ""]
-) -> Bool[Array, "h w"]:
-    """Returns the `allowed` highest scores among more candidates than that.
-
-    No sort: the bits of floats that are at least 0 order like integers, so the cut,
-    the largest key that `allowed` candidates reach, is found bit by bit.
-    """
-    key = jax.lax.bitcast_convert_type(jnp.maximum(score, 0.0), jnp.int32)
-    key = jnp.where(wants, key, -1)
-
-    def refine(step: Int[Array, ""] | int, cut: Int[Array, ""]) -> Int[Array, ""]:
-        higher = cut | jnp.left_shift(jnp.int32(1), 30 - step)
-        return jnp.where(
-            jnp.sum(key >= higher, dtype=jnp.int32) >= allowed, higher, cut
-        )
-
-    cut = jax.lax.fori_loop(jnp.int32(0), jnp.int32(31), refine, jnp.int32(0))
-    above, tied = key > cut, key == cut
-    rank, _ = compact.ranks(tied)
-    return above | (tied & (rank < allowed - jnp.sum(above, dtype=jnp.int32)))

@@ -1,52 +1,22 @@
 """Materials and lights to radiance: the same code for raster and for rays.
 
 The paper runs "identical HLSL code" at raster samples and at ray hits (section 3);
-here both call `radiance`. The material is glTF 2.0's metallic-roughness model (glTF
-specification, appendix B): Lambert plus GGX with Smith's height-correlated visibility
-(Heitz 2014) and Schlick's Fresnel term; lights are KHR_lights_punctual with one shadow
-ray each (paper, section 4); the sky adds an ambient term scaled by one visibility.
+here both call `radiance`. Lights are KHR_lights_punctual with one shadow ray each
+(paper, section 4); the sky adds an ambient term scaled by one visibility.
 """
-
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import embree, layers, texture, vector
-from ataa_jax.scene import MIRROR_ROUGHNESS
+from ataa_jax import embree, layers, vector
+from ataa_jax.material import Config, Material, brdf, evaluate, reflection
 from ataa_jax.surface import Surface, interpolate, lifted
 from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Rays, Scene, Sky
 from ataa_jax.vector import Vec3
 
-# Perceptual roughness below this makes GGX's peak exceed what float32 and eight
-# samples resolve (Filament's documentation, 4.8.3.1, gives 0.045 for float32).
-_MIN_ROUGHNESS = 0.045
-
-# our choice: below this roughness a surface is a mirror and no less; between it and
-# MIRROR_ROUGHNESS the reflection ray fades into the sky's blurred reflection.
-_FULL = 0.05
-
 _MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
-
-
-@dataclass(frozen=True)
-class Config:
-    """The effects that are compiled in; what is off costs nothing.
-
-    `ataa_jax.effects.required` fills this in from a scene.
-    """
-
-    base_color_textures: bool = True
-    metallic_roughness_textures: bool = True
-    normal_maps: bool = True
-    emission: bool = True
-    emissive_textures: bool = True
-    transparency: bool = True
-    reflections: bool = True
-    shadows: bool = True
-    sky: bool = True
 
 
 class Mirror(eqx.Module):
@@ -67,20 +37,6 @@ class Shaded(eqx.Module):
     opacity: Float[Array, " n"] | None  # None: the batch met solid surfaces
     transmittance: Vec3 | None  # of what lies behind
     rays: Rays  # shadow rays, and those through layers toward lights
-
-
-class _Material(eqx.Module):
-    """The material evaluated at one point: `diffuse` and `f0` are linear colours."""
-
-    diffuse: Vec3
-    f0: Vec3
-    alpha: Float[Array, " n"]  # GGX width: perceptual roughness squared
-    roughness: Float[Array, " n"]
-    emissive: Vec3 | None
-    normal: Vec3
-    mirror: Float[Array, " n"] | None  # 1: a mirror; 0: not at all
-    opacity: Float[Array, " n"] | None
-    transmittance: Vec3 | None
 
 
 def radiance(
@@ -121,20 +77,22 @@ def radiance(
     )
     view = vector.materialize(-vector.normalize(direction))
     material = vector.materialize(
-        _evaluate_material(scene, surface, view, mip_bias, config, clear=clear)
+        evaluate(scene, surface, view, mip_bias, config, clear=clear)
     )
     color, rays = _direct(
         scene, tracer, world_from_group, surface, material, view, tile, config
     )
     mirror = None
-    if config.sky:
-        diffuse, specular = _ambient(scene.sky, material, view)
-        color = color + (diffuse + specular)
+    if config.sky or config.reflections:
+        mirrored, reflectance = reflection(material, view)
+        specular = jax.tree.map(jnp.zeros_like, color)
+        if config.sky:
+            diffuse, specular = _ambient(scene.sky, material, mirrored, reflectance)
+            color = color + (diffuse + specular)
         if config.reflections:
-            mirror = vector.materialize(_mirror(surface, material, view, specular))
-    elif config.reflections:
-        black = jax.tree.map(jnp.zeros_like, color)
-        mirror = vector.materialize(_mirror(surface, material, view, black))
+            mirror = vector.materialize(
+                _mirror(surface, material, mirrored, reflectance, specular)
+            )
     if material.emissive is not None:
         # Materialized first: fused, an emission of 0 would still change a last bit.
         color = vector.materialize(color) + material.emissive
@@ -170,91 +128,6 @@ def _sky_colors(sky: Sky) -> tuple[Vec3, Vec3, Vec3]:
     return zenith, horizon, ground
 
 
-def _evaluate_material(
-    scene: Scene,
-    surface: Surface,
-    view: Vec3,
-    mip_bias: Float[Array, ""] | float,
-    config: Config,
-    *,
-    clear: bool = False,
-) -> _Material:
-    table, material = scene.materials, surface.material
-
-    def fetch(texture_of_material: Int[Array, " m"], *, srgb: bool = False) -> Vec3:
-        return texture.sample(
-            scene.textures,
-            texture_of_material[material],
-            surface.uv,
-            surface.uv_dx,
-            surface.uv_dy,
-            mip_bias,
-            srgb=srgb,
-        )
-
-    base = Vec3(*vector.take(table.base_color, material)[:3])
-    if config.base_color_textures:
-        base = base * fetch(table.base_color_texture, srgb=True)
-    metallic, roughness = table.metallic[material], table.roughness[material]
-    if config.metallic_roughness_textures:
-        packed = fetch(table.metallic_roughness_texture)
-        roughness, metallic = roughness * packed.y, metallic * packed.z
-    normal = surface.normal
-    if config.normal_maps:
-        normal = _normal_mapped(
-            surface,
-            fetch(table.normal_texture),
-            table.normal_scale[material],
-            table.normal_texture[material] >= 0,
-        )
-    emissive = None
-    if config.emission:
-        (emissive,) = vector.take3(table.emissive, material)
-        if config.emissive_textures:
-            emissive = emissive * fetch(table.emissive_texture, srgb=True)
-    mirror = None
-    if config.reflections:
-        fade = (MIRROR_ROUGHNESS - roughness) * (1.0 / (MIRROR_ROUGHNESS - _FULL))
-        mirror = jnp.where(table.mirror[material], jnp.clip(fade, 0.0, 1.0), 0.0)
-    roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
-    metallic = jnp.clip(metallic, 0.0, 1.0)
-    diffuse = base * (1.0 - metallic)
-    opacity = transmittance = None
-    if clear:
-        opacity = table.base_color.reshape(-1)[material * 4 + 3]
-        if config.base_color_textures:
-            opacity = opacity * texture.sample_alpha(
-                scene.textures,
-                table.base_color_texture[material],
-                surface.uv,
-                surface.uv_dx,
-                surface.uv_dy,
-                mip_bias,
-            )
-        share = table.transmission[material]
-        cos_view = jnp.clip(vector.dot(surface.normal, view), 0.0, 1.0)
-        passed = share * (1.0 - _schlick(0.04, cos_view))
-        transmittance = (1.0 - opacity) + diffuse * (opacity * passed)
-        diffuse = diffuse * (1.0 - share)
-    return _Material(
-        diffuse=diffuse,
-        f0=(base - 0.04) * metallic + 0.04,
-        alpha=roughness * roughness,
-        roughness=roughness,
-        emissive=emissive,
-        normal=normal,
-        mirror=mirror,
-        opacity=opacity,
-        transmittance=transmittance,
-    )
-
-
-def _schlick(f0: float, cosine: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Returns Schlick's Fresnel reflectance."""
-    grazing = 1.0 - cosine
-    return f0 + (1.0 - f0) * (grazing * grazing * (grazing * grazing) * grazing)
-
-
 def transmittance(
     scene: Scene,
     world_from_group: Float[Array, "g 3 4"],
@@ -273,17 +146,19 @@ def transmittance(
         interpolate(scene.geometry, world_from_group, hits, direction, None)
     )
     view = -vector.normalize(direction)
-    material = _evaluate_material(scene, surface, view, 0.0, config, clear=True)
+    material = evaluate(scene, surface, view, 0.0, config, clear=True)
     assert material.transmittance is not None
     return material.transmittance, surface
 
 
 def _mirror(
-    surface: Surface, material: _Material, view: Vec3, sky_specular: Vec3
+    surface: Surface,
+    material: Material,
+    direction: Vec3,
+    reflectance: Vec3,
+    sky_specular: Vec3,
 ) -> Mirror:
     """Returns what a reflection ray has to be cast for."""
-    cos_view = jnp.maximum(vector.dot(material.normal, view), 1e-4)
-    direction = vector.normalize(material.normal * (2.0 * cos_view) - view)
     assert material.mirror is not None
     # A bent normal may send the ray into its own surface: there the sky stands in.
     out = vector.dot(direction, surface.geometric_normal) > 0.0
@@ -292,63 +167,30 @@ def _mirror(
     return Mirror(
         smooth=smooth,
         direction=direction,
-        weight=_environment_brdf(material, cos_view) * share,
+        weight=reflectance * share,
         replaced=sky_specular * share,
     )
 
 
-def _normal_mapped(
-    surface: Surface,
-    texel: Vec3,
-    scale: Float[Array, " n"],
-    present: Bool[Array, " n"],
-) -> Vec3:
-    """Bends the interpolated normal by a tangent-space map.
-
-    glTF's green grows against v (its v runs down the image), hence the sign.
-    """
-    x = (texel.x * 2.0 - 1.0) * scale
-    y = (texel.y * 2.0 - 1.0) * scale
-    z = texel.z * 2.0 - 1.0
-    bent = vector.normalize(
-        surface.tangent * x - surface.bitangent * y + surface.normal * z
-    )
-    facing = vector.dot(bent, surface.geometric_normal) > 0.0
-    return vector.select(present & facing, bent, surface.normal)
-
-
-def _ambient(sky: Sky, material: _Material, view: Vec3) -> tuple[Vec3, Vec3]:
+def _ambient(
+    sky: Sky, material: Material, mirrored: Vec3, reflectance: Vec3
+) -> tuple[Vec3, Vec3]:
     """Returns diffuse and specular reflection of the sky times its visibility.
 
     What hides the rest of the sky sends its own light, which is added to the diffuse
     part. The diffuse term takes the mean radiance of the hemisphere about the normal,
-    linear between the mean of the upper sky and the ground; the specular term is
-    Karis's mobile environment BRDF ("Physically based shading on mobile", 2014).
+    linear between the mean of the upper sky and the ground; the specular term the
+    mirrored sky, blurred toward that mean by roughness.
     """
     normal = material.normal
-    cos_view = jnp.maximum(vector.dot(normal, view), 1e-4)
     zenith, horizon, ground = _sky_colors(sky)
     upper = (zenith + horizon) * 0.5
     irradiance = ground + (upper - ground) * (normal.y * 0.5 + 0.5)
-    mirrored = vector.normalize(normal * (2.0 * cos_view) - view)
     blurred = sky_radiance(sky, mirrored)
     blurred = blurred + (irradiance - blurred) * material.roughness
-    specular = _environment_brdf(material, cos_view) * blurred
     diffuse = material.diffuse * irradiance * sky.visibility
     bounce = material.diffuse * vector.unstack(sky.bounce)
-    return diffuse + bounce, specular * sky.visibility
-
-
-def _environment_brdf(material: _Material, cos_view: Float[Array, " n"]) -> Vec3:
-    """Returns the specular reflectance of a uniform environment (Karis's fit)."""
-    # r = roughness · c0 + c1
-    r_x = 1.0 - material.roughness
-    r_y = 0.0425 - 0.0275 * material.roughness
-    r_z = 1.04 - 0.572 * material.roughness
-    r_w = 0.022 * material.roughness - 0.04
-    a004 = jnp.minimum(r_x * r_x, jnp.exp2(-9.28 * cos_view)) * r_x + r_y
-    scale, bias = -1.04 * a004 + r_z, 1.04 * a004 + r_w
-    return material.f0 * scale + bias
+    return diffuse + bounce, reflectance * blurred * sky.visibility
 
 
 def _direct(
@@ -356,7 +198,7 @@ def _direct(
     tracer: embree.Tracer,
     world_from_group: Float[Array, "g 3 4"],
     surface: Surface,
-    material: _Material,
+    material: Material,
     view: Vec3,
     tile: tuple[int, int] | None,
     config: Config,
@@ -396,14 +238,15 @@ def _direct(
             )
             shadow_rays = jnp.sum(tested, dtype=jnp.int32)
             lit = lit & ~shadowed
-            if config.transparency and tracer.clear is not None:
+            clear = clear_of(tracer, config)
+            if clear is not None:
                 passed, rays = _through_layers(
-                    scene, tracer.clear, world_from_group, start, toward, distance,
+                    scene, clear, world_from_group, start, toward, distance,
                     lit & light.casts, tile, config,
                 )  # fmt: skip
                 irradiance = irradiance * passed
                 layer_rays = layer_rays + rays
-        reflected = _brdf(material, view, toward) * irradiance
+        reflected = brdf(material, view, toward) * irradiance
         total = total + reflected * jnp.where(lit, cos_light, 0.0)
         return (total, layer_rays), shadow_rays
 
@@ -414,6 +257,11 @@ def _direct(
     else:
         carry, shadow_rays = jax.lax.scan(add, carry, lights)
     return carry[0], Rays(shadow=shadow_rays, reflection=zero, layer=carry[1])
+
+
+def clear_of(tracer: embree.Tracer, config: Config) -> embree.Tracer | None:
+    """Returns what traces transparent surfaces; None where they are not seen."""
+    return tracer.clear if config.transparency else None
 
 
 def no_rays(lights: Lights | None) -> Rays:
@@ -461,28 +309,3 @@ def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Float[Array, " n"], Vec
     distance = jnp.where(directional, jnp.inf, jnp.sqrt(squared))
     strength = jnp.where(directional, 1.0, falloff)
     return toward, distance, vector.unstack(light.intensity) * strength
-
-
-def _brdf(material: _Material, view: Vec3, light: Vec3) -> Vec3:
-    """Evaluates Lambert plus GGX (glTF specification, appendix B.3).
-
-    D = α² / (π ((n·h)² (α² − 1) + 1)²), V = ½ / (n·l √((n·v)²(1−α²)+α²) + n·v √(…)).
-    """
-    normal = material.normal
-    half = vector.normalize(view + light)
-    cos_light = jnp.maximum(vector.dot(normal, light), 1e-4)
-    cos_view = jnp.maximum(vector.dot(normal, view), 1e-4)
-    cos_half = jnp.clip(vector.dot(normal, half), 0.0, 1.0)
-    cos_hv = jnp.clip(vector.dot(view, half), 0.0, 1.0)
-    a2 = material.alpha * material.alpha
-    bend = cos_half * cos_half * (a2 - 1.0) + 1.0
-    distribution = a2 / (jnp.pi * bend * bend)
-    visibility = 0.5 / (
-        cos_light * jnp.sqrt(cos_view * cos_view * (1.0 - a2) + a2)
-        + cos_view * jnp.sqrt(cos_light * cos_light * (1.0 - a2) + a2)
-    )
-    grazing = 1.0 - cos_hv
-    grazing = grazing * grazing * (grazing * grazing) * grazing
-    fresnel = material.f0 + (1.0 - material.f0) * grazing
-    diffuse = material.diffuse * (1.0 - fresnel) * (1.0 / jnp.pi)
-    return diffuse + fresnel * (distribution * visibility)

@@ -78,8 +78,7 @@ def trace(
         scene, tracer, world_from_group, direction, hits, steps, mip_bias,
         config=config, tile=tile,
     )  # fmt: skip
-    layered = config.transparency and tracer.clear is not None
-    if not (layered or config.reflections):
+    if shading.clear_of(tracer, config) is None and not config.reflections:
         return Traced(shaded.color, shaded.surface, hits, hits, shaded.rays)
     color, shown, rays = _go_on(
         scene, tracer, world_from_group, origin, direction, steps, mip_bias,
@@ -128,12 +127,11 @@ def _go_on(
     n = hits.triangle.shape[0]
     nothing = jnp.zeros((n,), jnp.bool_)
     rays, met, smooth = shaded.rays, nothing, nothing
-    if config.transparency and tracer.clear is not None:
+    clear = shading.clear_of(tracer, config)
+    if clear is not None:
         active = jnp.isfinite(direction.x)
         arrays = vector.stack(origin), vector.stack(direction), hits.distance
-        met = embree.occluded(
-            tracer.clear, world_from_group, *arrays, active, tile=tile
-        )
+        met = embree.occluded(clear, world_from_group, *arrays, active, tile=tile)
         tested = jnp.sum(active, dtype=jnp.int32)
         rays = eqx.tree_at(lambda r: r.layer, rays, rays.layer + tested)
     if shaded.mirror is not None:
@@ -221,13 +219,12 @@ def _turn(
 ) -> tuple[_Ray, Rays]:
     """Sees each ray's reflection where it has one left, else its next layer."""
     mirrored, walking = ray.mirrored, ray.walking & ~ray.mirrored
-    layered = config.transparency and tracer.clear is not None
+    clear = shading.clear_of(tracer, config)
     direction = vector.select(mirrored, ray.reflected, toward)
     hits = _miss(far.shape[0])
-    if layered:
-        assert tracer.clear is not None
+    if clear is not None:
         hits = layers.next_layer(
-            tracer.clear, world_from_group, ray.start, toward, ray.travelled, far,
+            clear, world_from_group, ray.start, toward, ray.travelled, far,
             walking,
         )  # fmt: skip
     layer = hits.triangle >= 0
@@ -244,7 +241,7 @@ def _turn(
         steps = right, down
     shaded = shading.radiance(
         scene, tracer, world_from_group, direction, hits, steps, mip_bias,
-        config=config, clear=layered,
+        config=config, clear=clear is not None,
     )  # fmt: skip
     if config.reflections:
         light = vector.select(mirrored, shaded.color * ray.weight, 0.0)
@@ -259,7 +256,7 @@ def _turn(
                 jnp.zeros_like(mirrored),
             ),
         )
-    if layered:
+    if clear is not None:
         ray = _composited(ray, shaded, hits, layer, ray.walking & mirrored)
     cast = Rays(
         shadow=shaded.rays.shadow,

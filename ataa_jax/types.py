@@ -201,7 +201,7 @@ class Segmentation(eqx.Module):
     """The mask, and why."""
 
     mask: UInt[Array, "h w"]  # uint32: method low 16 bits, classification history high
-    why: UInt[Array, "h w"]  # uint16, WHY_* bits
+    why: UInt[Array, "h w"]  # WHY_* bits; uint16, for the optional criteria have theirs
     score: Float[Array, "h w"]  # in [0, 1]; the larger, the more it asks for rays
     luminance: Float[Array, "h w"]  # the temporal luminance term, in [0, 1]
     depth: Float[Array, "h w"]  # the Sobel term, in [0, 1]

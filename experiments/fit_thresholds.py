@@ -24,7 +24,7 @@ import numpy as np
 import scenes
 from scipy.stats import spearmanr
 
-from ataa_jax import files, parameters, pipeline, reference
+from ataa_jax import cache, files, parameters, pipeline
 from ataa_jax import fit as fits
 from ataa_jax import world as worlds
 from ataa_jax.fit import attribution as attribution_of
@@ -71,7 +71,7 @@ def run(
     unseen: list[fits.Recording],
     options: fits.Options,
 ) -> fits.Fitted:
-    kept = fits.checkpoints_of(seen, options, reference.cache_folder() / "fit")
+    kept = fits.checkpoints_of(seen, options, cache.folder() / "fit")
     return fits.fit(seen, options, held_out=unseen, checkpoints=kept, progress=say)
 
 

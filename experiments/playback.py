@@ -72,6 +72,7 @@ def antialias(
     drawn: Drawn,
     config: pipeline.Config,
     params: pipeline.Params,
+    observe: pipeline.Observe = lambda _, buffers: buffers,
 ) -> Iterator[pipeline.FrameOutput]:
     """Yields every frame's buffers under one variant, from no history on."""
     state = pipeline.init(shot.size)
@@ -84,6 +85,7 @@ def antialias(
             scene=shot.world.scene,
             tracer=shot.world.tracer,
             config=config,
+            observe=observe,
         )
         yield output
 

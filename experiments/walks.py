@@ -1,19 +1,21 @@
-"""Frames drawn once, antialiased in several ways: what the experiments share.
+"""Walks with references: `playback`'s frames, scored against the truth.
 
-The raster stage does not depend on what follows it. A `Walk` holds its frames and their
-references, so that a variant costs only the stages after raster.
+A `Walk` holds a sequence's frames and their references, so that a variant costs only
+the stages after raster.
 """
 
 import csv
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import playback
 
 from ataa_jax import color as colors
-from ataa_jax import metrics, pipeline, raster, reference, sampling, types
+from ataa_jax import metrics, pipeline, raster, reference, types
 from ataa_jax import world as worlds
 
 SIZE = (180, 320)
@@ -34,31 +36,19 @@ class Walk:
     shot: worlds.Sequence
     config: pipeline.Config
     params: pipeline.Params
-    inputs: list[types.FrameInputs]  # lead-in first
-    drawn: list[raster.RasterOutput]
+    drawn: playback.Drawn  # lead-in first
     truth: np.ndarray  # (frames, h, w, 3) sRGB
 
 
 def draw(shot: worlds.Sequence, preset: str = "tuned") -> Walk:
     """Draws the lead-in and the scored frames of a sequence for a TAA preset."""
     config, params = pipeline.preset(preset, shot.world.scene, shot.size)
-    jitter = sampling.halton_jitter(config.taa.jitter_length)
-    every = []
-    for index in range(-LEAD_IN, FRAMES):
-        inputs = shot.inputs(index, jitter[(index + LEAD_IN) % len(jitter)])
-        every.append(pipeline.with_cut(inputs, index == -LEAD_IN))
-    drawn = [
-        raster.raster(
-            shot.world.scene, inputs, params.raster,
-            tracer=shot.world.tracer, config=config.raster,
-        )
-        for inputs in every
-    ]  # fmt: skip
+    drawn = playback.draw(shot, config, params, range(-LEAD_IN, FRAMES))
     truth = [
         np.asarray(colors.display(reference.reference(shot, index, SAMPLES).color))
         for index in range(FRAMES)
     ]
-    return Walk(shot, config, params, every, drawn, np.stack(truth))
+    return Walk(shot, config, params, drawn, np.stack(truth))
 
 
 def antialias(
@@ -68,23 +58,14 @@ def antialias(
     observe: pipeline.Observe = lambda _, buffer: buffer,
 ) -> Iterator[pipeline.FrameOutput]:
     """Yields the scored frames of the pipeline."""
-
-    def step(
-        state: types.State, drawn: raster.RasterOutput, inputs: types.FrameInputs
-    ) -> tuple[pipeline.FrameOutput, types.State]:
-        return pipeline.antialias(
-            state, drawn, inputs, params,
-            scene=walk.shot.world.scene, tracer=walk.shot.world.tracer, config=config,
-            observe=observe,
-        )  # fmt: skip
-
-    return fold(walk, step)
+    frames = playback.antialias(walk.shot, walk.drawn, config, params, observe)
+    return islice(frames, LEAD_IN, None)
 
 
 def fold(walk: Walk, step: Step) -> Iterator[pipeline.FrameOutput]:
     """Yields the scored frames of anything that goes from frame to frame."""
     state = pipeline.init(walk.shot.size)
-    for index, (inputs, drawn) in enumerate(zip(walk.inputs, walk.drawn, strict=True)):
+    for index, (inputs, drawn) in enumerate(walk.drawn):
         output, state = step(state, drawn, inputs)
         if index >= LEAD_IN:
             yield output
@@ -144,7 +125,7 @@ def flicker(walk: Walk, images: list[np.ndarray] | np.ndarray) -> float:
     """Returns the mean of `metrics.flicker` from the second frame on."""
     changes = []
     for index in range(1, len(images)):
-        gbuffer = walk.drawn[LEAD_IN + index].gbuffer
+        gbuffer = walk.drawn[LEAD_IN + index][1].gbuffer
         changes.append(
             metrics.flicker(
                 images[index],

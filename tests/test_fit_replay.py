@@ -8,7 +8,7 @@ import pytest
 from ataa_jax import pipeline, world
 from ataa_jax.errors import InputError
 from ataa_jax.fit import recording as record
-from ataa_jax.fit import replay
+from ataa_jax.fit import replay, score
 from ataa_jax.types import METHOD_ATAA
 
 SIZE = (45, 80)
@@ -57,7 +57,7 @@ def test_the_replay_counts_the_rays_that_the_mask_asks_for(recording):
     counted = np.sum(np.asarray(played.method) == METHOD_ATAA, axis=(1, 2))
     np.testing.assert_array_equal(np.asarray(played.traced_pixels), counted)
     expected = counted.mean() * 8 / (SIZE[0] * SIZE[1])
-    assert replay.rays_per_pixel(played, recording) == pytest.approx(expected)
+    assert score.rays(replay.Take.of(recording), played) == pytest.approx(expected)
 
 
 def test_a_second_recording_comes_from_the_cache_bit_by_bit(

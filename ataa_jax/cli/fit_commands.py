@@ -75,8 +75,8 @@ def fit(
             raise InputError(f"{name} must be one of {', '.join(known)}, not '{value}'")
     if output.suffix.lower() != ".toml":
         raise InputError(f"--output must be a .toml file, not '{output}'")
+    from ataa_jax import cache
     from ataa_jax import fit as fits
-    from ataa_jax import reference
 
     fits.check_budget(budget)
     fits.check_size(extent)
@@ -109,7 +109,7 @@ def fit(
             recorded.append(made)
             hashes[made.name] = content
         seen, unseen = recorded[: len(scene)], recorded[len(scene) :]
-        kept = fits.checkpoints_of(seen, options, reference.cache_folder() / "fit")
+        kept = fits.checkpoints_of(seen, options, cache.folder() / "fit")
         found = fits.fit(
             seen, options, held_out=unseen, checkpoints=kept, progress=report
         )

@@ -9,13 +9,10 @@ killed goes on where it stopped.
 """
 
 import hashlib
-import inspect
-import os
-import tempfile
-import zipfile
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import (
-    camera,
-    embree,
-    pipeline,
-    raster,
-    raytrace,
-    reference,
-    sampling,
-    shading,
-    surface,
-    texture,
-    vector,
-)
+from ataa_jax import cache, pipeline, raster, raytrace, reference, sampling
 from ataa_jax import color as colors
 from ataa_jax.errors import InputError
 from ataa_jax.types import FrameInputs, GBuffer
@@ -121,17 +106,18 @@ def record(
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
+    like = jax.eval_shape(partial(_like, shot.size))
     records = []
     for index in range(-lead_in, frames):
         inputs = shot.inputs(index, jitter[(index + lead_in) % len(jitter)])
         inputs = pipeline.with_cut(inputs, index == -lead_in)
         spp = reference_samples if index >= 0 else 0
         file = _file(shot, inputs, config, params, spp)
-        found = _read(file, shot.size) if use_cache else None
+        found = cache.read(file, like) if use_cache else None
         if found is None:
             found = _render(shot, index, inputs, config, params, spp, use_cache)
             if use_cache:
-                _write(file, found)
+                cache.write(file, found, CACHE_LIMIT_BYTES)
         records.append(found)
         progress(f"recording {shot.world.name}, frame {index + lead_in + 1}")
     stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *records)
@@ -186,18 +172,9 @@ def _render(
     )
 
 
-@cache
 def _code_hash() -> str:
-    """Hashes the sources that decide a record: an old cache is never believed."""
-    digest = hashlib.blake2b(digest_size=16)
-    modules = (camera, colors, embree, raster, raytrace, sampling, shading, surface)
-    for module in (*modules, texture, vector):
-        file = Path(inspect.getfile(module))
-        parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
-        for part in parts:
-            digest.update(part.read_bytes())
-    digest.update(Path(__file__).read_bytes())
-    return digest.hexdigest()
+    """Hashes the sources that decide a record."""
+    return reference.code_hash() + cache.code_hash(*(raytrace, sys.modules[__name__]))
 
 
 def _file(
@@ -213,23 +190,7 @@ def _file(
     digest.update(shot.world.content_hash.encode())
     for array in jax.tree.leaves((inputs, params.raster)):
         digest.update(np.ascontiguousarray(array).tobytes())
-    return reference.cache_folder() / "record" / f"{digest.hexdigest()}.npz"
-
-
-def _read(file: Path, size: tuple[int, int]) -> Recorded | None:
-    """Returns a cached record, or None where there is none or it is damaged."""
-    like = jax.eval_shape(partial(_like, size))
-    try:
-        # Opened here: numpy leaves a damaged file open.
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            leaves = [data[name] for name in _names(like)]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-    wanted = jax.tree.leaves(like)
-    pairs = zip(leaves, wanted, strict=True)
-    if any(a.shape != b.shape or a.dtype != b.dtype for a, b in pairs):
-        return None
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return cache.folder() / "record" / f"{digest.hexdigest()}.npz"
 
 
 def _like(size: tuple[int, int]) -> Recorded:
@@ -254,31 +215,3 @@ def _like(size: tuple[int, int]) -> Recorded:
         jitter=zeros(2),
         cut=zeros(dtype=bool),
     )
-
-
-def _names(tree: Recorded) -> list[str]:
-    paths, _ = jax.tree_util.tree_flatten_with_path(tree)
-    return [jax.tree_util.keystr(path).lstrip(".") for path, _ in paths]
-
-
-def _write(file: Path, record: Recorded) -> None:
-    """Writes atomically; a cache that cannot be written is no error."""
-    leaves = dict(zip(_names(record), jax.tree.leaves(record), strict=True))
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, **leaves)
-        Path(name).replace(file)
-        _prune(file.parent)
-    except OSError:
-        return
-
-
-def _prune(folder: Path) -> None:
-    files = sorted(folder.glob("*.npz"), key=lambda f: f.stat().st_mtime)
-    total = sum(f.stat().st_size for f in files)
-    while files and total > CACHE_LIMIT_BYTES:
-        oldest = files.pop(0)
-        total -= oldest.stat().st_size
-        oldest.unlink(missing_ok=True)

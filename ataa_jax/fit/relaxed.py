@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, UInt
 from scipy.ndimage import gaussian_filter
 
 from ataa_jax import color as colors
-from ataa_jax import pipeline, resolve, segmentation, taa
+from ataa_jax import pipeline, segmentation
 from ataa_jax.fit import replay
 from ataa_jax.fit.recording import Recorded
 from ataa_jax.fit.replay import Take
@@ -80,14 +80,9 @@ def look(
     choose = replay.by_criteria(config.segmentation)
 
     def body(state: State, recorded: Recorded) -> tuple[State, Shown]:
-        valid = state.history.valid & ~recorded.cut
-        state = eqx.tree_at(lambda s: s.history.valid, state, valid)
-        blended = taa.taa(
-            state.history, recorded.color, recorded.gbuffer, recorded.jitter,
-            params.taa, config=config.taa,
-        )  # fmt: skip
-        segmented = choose(state, recorded, blended, params, None)
-        method, _ = segmentation.unpack_mask(segmented.mask)
+        after, blended, method, _ = replay.composed(
+            state, recorded, params, config=config, choose=choose
+        )
         found = segmentation.criteria(
             recorded.color, recorded.gbuffer, blended.reprojected, blended.color,
             params.segmentation, config.segmentation,
@@ -99,11 +94,6 @@ def look(
             traced=colors.display(recorded.traced),
             method=method,
         )
-        done = resolve.resolve(
-            segmented, recorded.color, recorded.gbuffer, blended, recorded.traced,
-            params.resolve, config=config.resolve,
-        )  # fmt: skip
-        after = State(history=done.history, classification=done.classification)
         return after, shown
 
     _, shown = jax.lax.scan(body, pipeline.init(config.raster.size), frames)

@@ -12,11 +12,10 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from ataa_jax import color as colors
-from ataa_jax import fxaa, metrics, pipeline, resolve, segmentation, taa
+from ataa_jax import fxaa, pipeline, resolve, segmentation, taa
 from ataa_jax.fit.recording import Recorded, Recording
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
 
@@ -82,6 +81,40 @@ def step(
         choose: says each pixel's method.
         shown: False leaves out FXAA and the display image, for counts alone.
     """
+    after, blended, method, composite = composed(
+        state, recorded, params, extra, config=config, choose=choose
+    )
+    del blended
+    image = jnp.zeros((0, 0, 3), jnp.float32)
+    if shown:
+        image = fxaa.fxaa_sparse(
+            colors.display(composite),
+            method == METHOD_FXAA,
+            params.fxaa,
+            config=config.fxaa,
+        )
+    played = Played(
+        image=image,
+        method=method if shown else jnp.zeros((0, 0), jnp.uint32),
+        traced_pixels=jnp.sum(method == METHOD_ATAA, dtype=jnp.int32),
+    )
+    return after, played
+
+
+def composed(
+    state: State,
+    recorded: Recorded,
+    params: pipeline.Params,
+    extra: object = None,
+    *,
+    config: pipeline.Config,
+    choose: Chooser,
+) -> tuple[State, taa.TaaOutput, UInt[Array, "h w"], Float[Array, "h w 3"]]:
+    """Replays one frame as far as the history goes; arguments as `step`'s.
+
+    Returns:
+        State after the frame, TAA's output, METHOD_* and the linear composite.
+    """
     valid = state.history.valid & ~recorded.cut
     state = eqx.tree_at(lambda s: s.history.valid, state, valid)
     blended = taa.taa(
@@ -94,7 +127,6 @@ def step(
     )
     segmented = choose(state, recorded, blended, params, extra)
     method, _ = segmentation.unpack_mask(segmented.mask)
-    is_traced = method == METHOD_ATAA
     resolved = resolve.resolve(
         segmented,
         recorded.color,
@@ -104,21 +136,8 @@ def step(
         params.resolve,
         config=config.resolve,
     )
-    image = resolved.composite
-    if shown:
-        image = fxaa.fxaa_sparse(
-            colors.display(resolved.composite),
-            method == METHOD_FXAA,
-            params.fxaa,
-            config=config.fxaa,
-        )
-    played = Played(
-        image=image if shown else jnp.zeros((0, 0, 3), jnp.float32),
-        method=method if shown else jnp.zeros((0, 0), jnp.uint32),
-        traced_pixels=jnp.sum(is_traced, dtype=jnp.int32),
-    )
     after = State(history=resolved.history, classification=resolved.classification)
-    return after, played
+    return after, blended, method, resolved.composite
 
 
 @partial(jax.jit, static_argnames=("config", "choose", "shown"))
@@ -162,6 +181,7 @@ def replayable(config: pipeline.Config) -> pipeline.Config:
         raster=replace(pipeline.Config().raster, size=config.raster.size),
         taa=config.taa,
         segmentation=config.segmentation,
+        resolve=config.resolve,
         fxaa=config.fxaa,
     )
 
@@ -192,17 +212,3 @@ class Take(eqx.Module):
             samples=self.samples,
             config=replace(self.config, segmentation=config),
         )
-
-
-def rays_per_pixel(played: Played, recording: Recording) -> float:
-    """Returns the mean sparse primary rays a pixel over the scored frames."""
-    pixels = recording.size[0] * recording.size[1]
-    traced = np.asarray(played.traced_pixels)[recording.lead_in :]
-    return float(traced.mean()) * recording.config.raytrace.samples / pixels
-
-
-def mean_ssim(played: Played, recording: Recording) -> float:
-    """Returns scikit-image's SSIM, its mean over the scored frames."""
-    images = np.asarray(played.image)[recording.lead_in :]
-    pairs = zip(images, recording.truth, strict=True)
-    return float(np.mean([metrics.ssim(image, truth) for image, truth in pairs]))

@@ -70,7 +70,7 @@ def as_is(
         threshold = float(params.segmentation.threshold)
     return Result(
         ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
-        rays=_rays(take, played),
+        rays=rays(take, played),
         threshold=threshold,
     )
 
@@ -81,7 +81,7 @@ def chosen(take: Take, params: pipeline.Params, choose: replay.Chooser, extra: o
     played = replay.play(take.frames, params, extra, config=take.config, choose=choose)
     return Result(
         ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
-        rays=_rays(take, played),
+        rays=rays(take, played),
         threshold=float("nan"),
     )
 
@@ -90,7 +90,8 @@ def _truth(take: Take) -> Float[Array, "f h w 3"]:
     return take.frames.truth[take.lead_in :]
 
 
-def _rays(take: Take, played: replay.Played) -> float:
+def rays(take: Take, played: replay.Played) -> float:
+    """Returns the mean sparse primary rays a pixel over the scored frames."""
     pixels = take.config.raster.size[0] * take.config.raster.size[1]
     traced = np.asarray(played.traced_pixels)[take.lead_in :]
     return float(traced.mean()) * take.samples / pixels

@@ -1,0 +1,94 @@
+"""The cache folder: arrays that are dear to make, by the content that decides them.
+
+A file is whole or not there, and one that is damaged or of another shape counts as not
+there. A key should hold `code_hash` of the modules that made the arrays, so that an old
+cache is never believed.
+"""
+
+import hashlib
+import inspect
+import os
+import tempfile
+import zipfile
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+import platformdirs
+
+Tree = TypeVar("Tree")
+
+
+def folder() -> Path:
+    """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
+    return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
+
+
+@cache
+def code_hash(*modules: ModuleType) -> str:
+    """Hashes the sources of modules; of a package, all its files."""
+    digest = hashlib.blake2b(digest_size=16)
+    for module in modules:
+        file = Path(inspect.getfile(module))
+        parts = sorted(file.parent.glob("*.py")) if file.stem == "__init__" else [file]
+        for part in parts:
+            digest.update(part.read_bytes())
+    return digest.hexdigest()
+
+
+def read(file: Path, like: Tree) -> Tree | None:
+    """Returns the tree of arrays in a file, or None where it is missing or misfit.
+
+    Args:
+        file: an ``.npz`` that `write` made.
+        like: a tree of arrays, or their shapes and types, that it must have.
+    """
+    paths, structure = jax.tree_util.tree_flatten_with_path(like)
+    try:
+        # Opened here: numpy leaves a damaged file open.
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            found = [data[_name(path)] for path, _ in paths]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    for array, (_, wanted) in zip(found, paths, strict=True):
+        if array.shape != wanted.shape or array.dtype != wanted.dtype:
+            return None
+    return jax.tree.unflatten(structure, found)
+
+
+def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
+    """Writes a tree of arrays atomically; one that cannot be written is no error.
+
+    Args:
+        file: an ``.npz``.
+        tree: the arrays.
+        limit_bytes: of all ``.npz`` in its folder; the oldest go first. None: no limit.
+    """
+    paths, _ = jax.tree_util.tree_flatten_with_path(tree)
+    arrays = {_name(path): np.asarray(leaf) for path, leaf in paths}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+        with os.fdopen(handle, "wb") as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
+        Path(name).replace(file)
+        if limit_bytes is not None:
+            _prune(file.parent, limit_bytes)
+    except OSError:
+        return
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path).lstrip(".") or "array"
+
+
+def _prune(place: Path, limit_bytes: int) -> None:
+    files = sorted(place.glob("*.npz"), key=lambda f: f.stat().st_mtime)
+    total = sum(f.stat().st_size for f in files)
+    while files and total > limit_bytes:
+        oldest = files.pop(0)
+        total -= oldest.stat().st_size
+        oldest.unlink(missing_ok=True)
