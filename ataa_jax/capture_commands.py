@@ -68,11 +68,12 @@ def prepare(
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
     if params is not None:
         table = parameters.read(params)
-        _, numbers = pipeline.preset("tuned", None, capture.size, budget=given_budget)
+        config, numbers = pipeline.preset(
+            "tuned", None, capture.size, budget=given_budget
+        )
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
-        own = pipeline.Config().segmentation
-        options["segmentation"] = parameters.choices(table, own, where)
+        options["segmentation"] = parameters.choices(table, config.segmentation, where)
         if budget is None:
             given_budget = float(options["params"].budget)
     options |= {

@@ -43,6 +43,7 @@ METHODS: dict[str, str] = {
     "ataa2": "ATAA 2x",
     "ataa4": "ATAA 4x",
     "ataa8": "ATAA 8x",
+    "ataa8_paper": "ATAA 8x (paper's criteria)",
     "ataa8_ue4": "ATAA 8x (literature TAA)",
     "ssaa2": "SSAA 2x",
     "ssaa4": "SSAA 4x",
@@ -335,6 +336,26 @@ def runner(name: str, shot: Source, options: Options) -> Runner:
         return _Plain(name, shot, filtered=name == "fxaa")
     if name.startswith("ssaa"):
         return _Supersampled(name, int(name.removeprefix("ssaa")), options.average)
-    kind, _, preset = name.partition("_")
+    kind, _, _ = name.partition("_")
     samples = int(kind.removeprefix("ataa")) if kind.startswith("ataa") else None
-    return _Adaptive(name, shot, options, preset=preset or "tuned", samples=samples)
+    return _Adaptive(name, shot, options, preset=preset_of(name), samples=samples)
+
+
+def preset_of(method: str) -> str:
+    """Returns the preset that a method's name ends in; without one, the tuned."""
+    return method.partition("_")[2] or "tuned"
+
+
+def with_preset(method: str, preset: str) -> str:
+    """Returns a method's name by another preset; what has none keeps its name.
+
+    Raises:
+        InputError: unknown preset.
+    """
+    if preset not in pipeline.PRESETS:
+        known = ", ".join(pipeline.PRESETS)
+        raise InputError(f"unknown preset '{preset}'; known are {known}")
+    kind, _, _ = method.partition("_")
+    if preset == "tuned" or not kind.startswith(("taa", "ataa")):
+        return method
+    return f"{kind}_{preset}"

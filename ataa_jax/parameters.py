@@ -119,11 +119,10 @@ def segmentation_of(
     Raises:
         InputError: see `override` and `choices`.
     """
-    config = pipeline.Config().segmentation
-    _, params = pipeline.preset("tuned", None, (1, 1))
+    config, params = pipeline.preset("tuned", None, (1, 1))
     return (
         override(params, table, where).segmentation,
-        choices(table, config, where),
+        choices(table, config.segmentation, where),
     )
 
 

@@ -121,8 +121,25 @@ def init(size: tuple[int, int]) -> State:
     )
 
 
-# Segmentation preset by default.
-CRITERIA = "paper"
+@dataclass(frozen=True)
+class Preset:
+    """What goes together: TAA's constants, the criteria, and what a ray reads."""
+
+    taa: str  # of `taa.PRESETS`
+    mip_bias: float  # of the raster stage's textures
+    segmentation: str  # of `segmentation.PRESETS`
+    footprint: raytrace.Footprint
+
+
+PRESETS: dict[str, Preset] = {
+    # TAA by `experiments/tune_taa.py`, weights by `experiments/fit_thresholds.py`, the
+    # rays' textures by `experiments/grey_halo.py`.
+    "tuned": Preset("tuned", -2.0, "fitted", "sample"),
+    # The same TAA; the two criteria "weighted equally" and mip level 0 (section 3).
+    "paper": Preset("tuned", -2.0, "paper", "level0"),
+    # The literature throughout: UE4's TAA leaves the textures' level of detail alone.
+    "ue4": Preset("ue4", 0.0, "paper", "level0"),
+}
 
 
 def preset(
@@ -133,12 +150,11 @@ def preset(
     samples: int = 8,
     budget: float = 0.5,
     selection: effects.Selection | None = None,
-    criteria: str = CRITERIA,
 ) -> tuple[Config, Params]:
     """Returns configuration and parameters for a scene.
 
     Args:
-        name: TAA preset, "tuned" or "ue4".
+        name: of `PRESETS`: "tuned", "paper" or "ue4".
         scene: decides the effects that are compiled in; None: nothing will be drawn.
         size: image (height, width).
         samples: rays a traced pixel: 2, 4 or 8.
@@ -146,24 +162,19 @@ def preset(
             8x stays under 0.5. inf: no cap.
         selection: effects to compile for, such as `Sequence.effects`; by default what
             the scene calls for, in any motion.
-        criteria: segmentation preset: "paper" weighs luminance and depth equally,
-            "fitted" is what `fit` found.
 
     Raises:
         InputError: unknown preset, or values out of range.
     """
-    if name not in taa.PRESETS:
-        raise InputError(
-            f"unknown preset '{name}'; known are {', '.join(sorted(taa.PRESETS))}"
-        )
-    if criteria not in segmentation.PRESETS:
-        known = ", ".join(sorted(segmentation.PRESETS))
-        raise InputError(f"unknown criteria '{criteria}'; known are {known}")
+    if name not in PRESETS:
+        raise InputError(f"unknown preset '{name}'; known are {', '.join(PRESETS)}")
     if samples not in (2, 4, 8):
         raise InputError(f"ATAA traces 2, 4 or 8 rays a pixel, not {samples}")
     if not budget >= 0.0:
         raise InputError(f"a ray budget must be at least 0 rays a pixel, not {budget}")
-    taa_config, taa_params = taa.PRESETS[name]
+    chosen = PRESETS[name]
+    taa_config, taa_params = taa.PRESETS[chosen.taa]
+    criteria, weights = segmentation.PRESETS[chosen.segmentation]
     if selection is None:
         given = RasterConfig().shading if scene is None else effects.required(scene)
         selection = effects.Selection(given)
@@ -175,23 +186,20 @@ def preset(
             object_motion=selection.object_motion,
         ),
         taa=taa_config,
-        segmentation=segmentation.PRESETS[criteria][0],
-        raytrace=raytrace.Config(samples=samples, shading=selection.shading),
+        segmentation=criteria,
+        raytrace=raytrace.Config(
+            samples=samples, footprint=chosen.footprint, shading=selection.shading
+        ),
     )
     params = Params(
-        raster=raster.default_params(MIP_BIAS[name]),
+        raster=raster.default_params(chosen.mip_bias),
         taa=taa_params,
-        segmentation=segmentation.PRESETS[criteria][1],
+        segmentation=weights,
         resolve=resolve.default_params(),
         fxaa=fxaa.default_params(),
         budget=jnp.asarray(budget, jnp.float32),
     )
     return config, params
-
-
-# Texture mip bias that goes with each TAA preset; `experiments/tune_taa.py` found the
-# tuned one, UE4's material quality default leaves the level of detail alone.
-MIP_BIAS = {"tuned": -2.0, "ue4": 0.0}
 
 
 def _pass(name: str, buffer: _Buffer) -> _Buffer:
@@ -413,6 +421,17 @@ def with_budget(params: Params, budget: float) -> Params:
     """Returns the parameters under another ray budget, rays a pixel of the frame."""
     return eqx.tree_at(
         lambda p: p.budget, params, jnp.asarray(budget, params.budget.dtype)
+    )
+
+
+def with_criteria(
+    config: Config, params: Params, criteria: str
+) -> tuple[Config, Params]:
+    """Returns both with one of `segmentation.PRESETS` in place of their own."""
+    choices, weights = segmentation.PRESETS[criteria]
+    return (
+        replace(config, segmentation=choices),
+        eqx.tree_at(lambda p: p.segmentation, params, weights),
     )
 
 

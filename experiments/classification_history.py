@@ -94,7 +94,7 @@ def _back(
 def measure(name: str) -> list[_Row]:
     """Returns the scene's rows."""
     shot = scenes.shot(scenes.load(name), size=SIZE)
-    config, params = pipeline.preset("tuned", shot.world.scene, SIZE)
+    config, params = pipeline.preset("paper", shot.world.scene, SIZE)
     table: list[_Row] = []
     for motion in ("still", "typical"):
         drawn = playback.draw(

@@ -28,7 +28,7 @@ SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
 FRAMES = 30
 SETTLED = 10  # from here on the history is full: means are taken over these frames
-PRESETS = ("tuned", "ue4")
+PRESETS = ("paper", "ue4")
 COLUMNS = (
     *("scene", "preset", "motion", "feedback", "frame"),
     *("fxaa_share", "ataa_share", "fired_share", "luminance_share"),
@@ -100,7 +100,7 @@ def plot(table: list[_Row], names: list[str]) -> None:
     figure, axes = plt.subplots(
         2, len(names), figsize=(11, 5.5), sharex=True, sharey="col", squeeze=False
     )
-    palette = {"tuned": "#2f66cf", "ue4": "#d23b3b"}
+    palette = {"paper": "#2f66cf", "ue4": "#d23b3b"}
     for column, name in enumerate(names):
         for row, motion in enumerate(("still", "typical")):
             panel = axes[row, column]

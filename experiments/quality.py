@@ -2,7 +2,9 @@
 
 A walk of typical motion (1 % of the image's width a frame), 12 frames after 8 of
 lead-in, 640×360, 64 reference samples, at most 0.5 sparse rays a pixel. Writes one row
-a scene and method; the full report of each scene goes to ``out/quality``.
+a scene and method; the full report of each scene goes to ``out/quality``. *thin_share*
+is the share of the pixels that wires, ropes, slats and leaves cross; 0.5 rays a pixel
+pay for 0.0625 of them at 8x.
 
     python experiments/quality.py             # writes experiments/results/quality.csv
 """
@@ -11,9 +13,11 @@ import argparse
 import csv
 from pathlib import Path
 
+import numpy as np
 import scenes
 
-from ataa_jax import compare, methods, report
+from ataa_jax import compare, methods, reference, report
+from ataa_jax import world as worlds
 
 COLUMNS = (
     *("ssim", "psnr", "flip", "flicker", "border_mse", "thin_mse"),
@@ -21,7 +25,16 @@ COLUMNS = (
 )
 
 
-def rows(name: str, result: compare.Comparison) -> list[list[str]]:
+def thin_share(shot: worlds.Sequence, frames: int, samples: int) -> float:
+    """Returns the share of the pixels that thin features cross."""
+    found = []
+    for frame in range(frames):
+        thin = np.asarray(reference.reference(shot, frame, samples).thin)
+        found.append(np.mean((thin > 0.0) & (thin < 1.0)))
+    return float(np.mean(found))
+
+
+def rows(name: str, result: compare.Comparison, thin_of: float) -> list[list[str]]:
     """Returns the scene's rows, means over its frames."""
     taa = 1.0 - result.mean("taa", "ssim")
     ue4 = 1.0 - result.mean("taa_ue4", "ssim")
@@ -33,6 +46,7 @@ def rows(name: str, result: compare.Comparison) -> list[list[str]]:
         thin = result.mean(method, "thin_mse") / result.mean(base, "thin_mse")
         values = [f"{result.mean(method, column):.6g}" for column in COLUMNS]
         table.append([name, method, *values, f"{removed:.4f}", f"{thin:.4f}"])
+        table[-1].append(f"{thin_of:.4f}")
     return table
 
 
@@ -71,12 +85,14 @@ def main() -> None:
             folder = Path("out") / "quality" / name
             folder.mkdir(parents=True, exist_ok=True)
             report.write(result, folder)
-        for row in rows(name, result):
+        thin = thin_share(shot, options.frames, options.reference_samples)
+        for row in rows(name, result, thin):
             table[row[0], row[1]] = row
-            print(*row[:3], *row[-2:], flush=True)
+            print(*row[:3], *row[-3:], flush=True)
         with file.open("w", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             head = ["scene", "method", *COLUMNS, "taa_error_removed", "thin_mse_ratio"]
+            head.append("thin_share")
             writer.writerows([head, *table.values()])
 
 

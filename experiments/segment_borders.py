@@ -86,7 +86,7 @@ def render(
 
 def runs(shot: worlds.Sequence) -> tuple[dict[str, Run], list[types.GBuffer]]:
     """Returns every method's frames, and the G-buffers of the unjittered view."""
-    config, params = pipeline.preset("tuned", shot.world.scene, SIZE)
+    config, params = pipeline.preset("paper", shot.world.scene, SIZE)
     drawn = playback.draw(shot, config, params, range(-LEAD_IN, FRAMES))
     found = {"taa": render(shot, drawn, replace(config, adaptive=False), params)}
     for name, budget in ATAA.items():

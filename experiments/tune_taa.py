@@ -2,7 +2,7 @@
 
 A grid over blend weight, mip bias, history filter and rectifier, on a still, a typical
 and a rapid sequence of every scene; the score is the mean SSIM against the reference.
-The best of the grid is `taa.PRESETS["tuned"]` and `pipeline.MIP_BIAS["tuned"]`.
+The best of the grid is `taa.PRESETS["tuned"]` and the mip bias of `pipeline.PRESETS`.
 
     python experiments/tune_taa.py            # writes experiments/results/tune_taa.csv
 """

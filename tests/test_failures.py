@@ -30,7 +30,7 @@ def frames(letter, *, adaptive=True, optional=""):
     """Outputs by frame index, of ATAA 8x without a budget or of TAA alone."""
     case, seen = failures.case(letter), shot(letter)
     config, params = pipeline.preset(
-        "tuned", seen.world.scene, SIZE, budget=float("inf")
+        "paper", seen.world.scene, SIZE, budget=float("inf")
     )
     config = replace(config, adaptive=adaptive)
     if optional:
@@ -220,7 +220,7 @@ def test_a_moving_shadow_is_caught_by_the_luminance_criterion():
 def changes(letter, where):
     """The largest change that half a second brings to a region, by equal jitter."""
     world = shot(letter).world
-    config, params = pipeline.preset("tuned", world.scene, SIZE)
+    config, params = pipeline.preset("paper", world.scene, SIZE)
     seen = [
         np.asarray(
             pipeline.raster.raster(

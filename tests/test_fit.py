@@ -354,15 +354,18 @@ def test_where_taa_is_exact_nothing_is_fitted_and_that_is_said(recording):
 
 def test_the_fitted_preset_is_the_file_that_the_experiment_wrote():
     table = parameters.read(Path(__file__).parents[1] / "data" / "fitted.toml")
-    config, params = pipeline.preset("tuned", None, (4, 4), criteria="fitted")
+    config, params = pipeline.preset("tuned", None, (4, 4))
     loaded = parameters.override(params, table, "fitted.toml")
     assert eqx.tree_equal(loaded.segmentation, params.segmentation)
     assert parameters.choices(table, segmentation.Config(), "f") == config.segmentation
 
 
-def test_unknown_criteria_are_refused():
-    with pytest.raises(InputError, match="unknown criteria 'magic'"):
-        pipeline.preset("tuned", None, (4, 4), criteria="magic")
+def test_the_papers_preset_weighs_its_two_criteria_equally():
+    config, params = pipeline.preset("paper", None, (4, 4))
+    own = params.segmentation
+    assert config.segmentation == segmentation.Config()
+    assert float(own.luminance_weight) == float(own.depth_weight)
+    assert config.raytrace.footprint == "level0"
 
 
 TINY = [

@@ -128,14 +128,11 @@ def run(
         from ataa_jax import compare, film, methods
 
         (name,) = methods.check_methods([method])
-        if preset not in ("tuned", "ue4"):
-            raise InputError(f"unknown preset '{preset}'; known are tuned, ue4")
-        if preset == "ue4" and name.startswith(("taa", "ataa")):
-            name = name.removesuffix("_ue4") + "_ue4"
-        if name.endswith("_ue4") and params is not None:
+        name = methods.with_preset(name, preset)
+        if params is not None and methods.preset_of(name) != "tuned":
             raise InputError(
-                "--params changes the tuned preset; leave out --preset ue4 and the "
-                "methods that end in _ue4"
+                "--params changes the tuned preset; leave out --preset and the methods "
+                "that end in a preset's name"
             )
         options = {
             "frames": frames,
@@ -340,11 +337,10 @@ def _prepare(
     report("loading the scene", 0, 1)
     loaded, path = _load(scene, camera, motion, wish)
     if table:
-        _, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
+        config, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"
         options["params"] = parameters.override(numbers, table, where)
-        own = pipeline.Config().segmentation
-        options["segmentation"] = parameters.choices(table, own, where)
+        options["segmentation"] = parameters.choices(table, config.segmentation, where)
         if asked is None:  # the file's budget counts, but the command line wins
             budget = float(options["params"].budget)
     options["budget"] = budget

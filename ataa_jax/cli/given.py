@@ -74,7 +74,7 @@ Effects = Annotated[
 ]
 ReferenceSamples = Annotated[int, typer.Option(help="Samples a pixel of the truth.")]
 LeadIn = Annotated[int, typer.Option(help="Frames before the first that is kept.")]
-Preset = Annotated[str, typer.Option(help="TAA constants: tuned or ue4.")]
+Preset = Annotated[str, typer.Option(help="Constants: tuned, paper or ue4.")]
 Traceback = Annotated[
     bool, typer.Option("--traceback", help="Show where an error came from.")
 ]

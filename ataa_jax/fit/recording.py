@@ -56,7 +56,7 @@ class Recording:
     frames: Recorded  # every leaf with a leading axis of all frames
     lead_in: int
     config: pipeline.Config
-    params: pipeline.Params  # the preset's: what was drawn with, and fits start from
+    params: pipeline.Params  # the preset's, but the paper's criteria: fits start there
 
     @property
     def size(self) -> tuple[int, int]:
@@ -88,7 +88,7 @@ def record(
         lead_in: frames before them.
         samples: rays a traced pixel: 2, 4 or 8.
         reference_samples: samples a pixel of the truth.
-        preset: TAA preset, which decides jitter and texture mip bias.
+        preset: decides TAA, jitter, texture mip bias, and what a ray reads.
         progress: told after every frame.
         use_cache: read and write the cache folder.
 
@@ -103,6 +103,7 @@ def record(
     config, params = pipeline.preset(
         preset, shot.world.scene, shot.size, samples=samples, budget=float("inf")
     )
+    config, params = pipeline.with_criteria(config, params, "paper")
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )

@@ -80,5 +80,5 @@ def line_color(method: str) -> str:
 
 
 def from_literature(method: str) -> bool:
-    """Tells whether a method runs on the literature's constants (drawn dashed)."""
-    return method.endswith("_ue4")
+    """Tells whether a method runs on the paper's or UE4's constants (drawn dashed)."""
+    return "_" in method
