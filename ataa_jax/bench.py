@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from ataa_jax import builtin, compare, embree, paths, pipeline, reference, sampling
 from ataa_jax import camera as cameras
-from ataa_jax import compare, embree, paths, pipeline, reference, sampling
 from ataa_jax import world as worlds
 from ataa_jax.types import FrameInputs
 
@@ -59,6 +59,16 @@ def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> Row:
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         peak = pool.submit(_peak_of_frames, scene, size).result()
     return (f"peak memory at {size[1]}x{size[0]}", peak / 1e9, "GB")
+
+
+def generation() -> Row:
+    """Times how long the built-in scene takes to be made, in processor time."""
+    times = []
+    for _ in range(3):
+        start = time.process_time()
+        builtin.garden_house()
+        times.append(time.process_time() - start)
+    return ("making the built-in scene", float(np.median(times)), "s")
 
 
 def _peak_of_frames(scene: str, size: tuple[int, int]) -> int:

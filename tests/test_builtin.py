@@ -1,7 +1,5 @@
 """The built-in scene holds what it promises, is well formed, and is always the same."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -39,12 +37,6 @@ def test_two_calls_give_equal_scenes(source):
     for a, b in zip(source.textures, again.textures, strict=True):
         np.testing.assert_array_equal(a.texels, b.texels)
     assert source.materials == again.materials
-
-
-def test_generation_takes_under_three_seconds_of_processor_time():
-    start = time.process_time()
-    garden_house()
-    assert time.process_time() - start < 3.0
 
 
 def test_size_is_moderate(source):

@@ -236,6 +236,8 @@ def bench(
                 loaded, extent, camera, 0.5 if budget is None else budget
             )
             rows.append(benchmark.peak_memory(scene))
+            if scene == world.BUILTIN:
+                rows.append(benchmark.generation())
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)
