@@ -16,6 +16,23 @@ hypothesis.settings.register_profile("ataa", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("ataa")
 
 
+# What compiles longest goes first, so that no worker is left alone with it at the end.
+SLOWEST = (
+    *("test_real_scenes", "test_failures", "test_fit", "test_effects", "test_cli"),
+    *("test_readme", "test_pipeline", "test_reference", "test_raytrace"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Orders the files by how long they take."""
+
+    def place(item: pytest.Item) -> int:
+        name = item.path.stem
+        return SLOWEST.index(name) if name in SLOWEST else len(SLOWEST)
+
+    items.sort(key=place)
+
+
 @pytest.fixture(params=("packet", "run"))
 def backend(request: pytest.FixtureRequest) -> str:
     """Embree's entry points: packets of rays, or embreex's own `run`."""

@@ -3,6 +3,7 @@
 import gc
 import weakref
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,14 +89,26 @@ def test_dispatch_is_synchronous():
 
 
 def test_a_tracer_compares_and_hashes_by_identity():
-    a, b = embree.build(garden()), embree.build(garden())
+    a, b = embree.build(garden()), embree.build(garden(groups=3))
     assert a == a
     assert a != b
     assert len({a, b, a}) == 2
 
 
+def test_the_same_scene_gives_the_same_tracer_while_it_lives():
+    a = embree.build(garden())
+    assert embree.build(garden()) is a
+    assert embree.build(garden(), backend="run") is not a
+    moved = garden()
+    moved = eqx.tree_at(
+        lambda s: s.geometry.position, moved, moved.geometry.position + 1.0
+    )
+    assert embree.build(moved) is not a
+
+
 def test_a_collected_tracer_frees_embree():
-    tracer = embree.build(garden(groups=3))
+    # Arguments of its own: no compiled program of another test holds this tracer.
+    tracer = embree.build(garden(groups=3), device_config="threads=1")
     origin, direction = rays(100)
     tracer.intersect_numpy(pose(0), origin, direction)
     freed = []

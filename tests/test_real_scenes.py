@@ -3,6 +3,7 @@
 import hashlib
 import subprocess
 import sys
+from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,15 +13,20 @@ from ataa_jax import embree, lighting, pipeline, types
 from ataa_jax import world as worlds
 from tests.scenes import scene_path
 
-SIZE = (36, 64)
+SIZE = worlds.PREVIEW  # loading a scene compiles the raster stage for this size
 NAMES = (
     "sponza", "modern_house", "dutch_ship", "littlest_tokyo", "cesium_milk_truck",
 )  # fmt: skip
 
 
+@cache
+def load(name):
+    return worlds.load(scene_path(f"{name}.glb"))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_real_scene_renders_through_every_stage(name):
-    world = worlds.load(scene_path(f"{name}.glb"))
+    world = load(name)
     shot = worlds.shot(world, "walk", SIZE)
     config, params = pipeline.preset("tuned", world.scene, SIZE)
     images = []
@@ -37,7 +43,7 @@ def test_a_real_scene_renders_through_every_stage(name):
 
 @pytest.mark.parametrize("name", ["sponza", "littlest_tokyo"])
 def test_both_ways_to_embree_hit_the_same_on_a_real_scene(name):
-    world = worlds.load(scene_path(f"{name}.glb"))
+    world = load(name)
     transforms = world.source.transforms(0.5)
     points = lighting.look(world.tracer, world.scene, transforms, world.camera(None))
     eye = world.camera(None).world_from_view[:3, 3]
@@ -57,8 +63,8 @@ def test_the_same_bits_in_another_process():
         "import hashlib, numpy as np\n"
         "from ataa_jax import pipeline, world as worlds\n"
         "world = worlds.load('builtin')\n"
-        "shot = worlds.shot(world, 'walk', (36, 64))\n"
-        "config, params = pipeline.preset('tuned', world.scene, (36, 64))\n"
+        "shot = worlds.shot(world, 'walk', (90, 160))\n"
+        "config, params = pipeline.preset('tuned', world.scene, (90, 160))\n"
         "digest = hashlib.sha256()\n"
         "for out, _ in pipeline.sequence(shot, params, config=config, frames=3):\n"
         "    digest.update(np.asarray(out.image).tobytes())\n"
@@ -76,7 +82,7 @@ def test_the_same_bits_in_another_process():
 
 
 def test_an_interior_scene_gets_light_and_a_shut_out_sky():
-    world = worlds.load(scene_path("modern_house.glb"))
+    world = load("modern_house")
     assert float(world.scene.sky.visibility) < 0.2
     assert world.lights
     assert {light.kind for light in world.lights} <= {

@@ -21,7 +21,10 @@ a missed ray once more, turned by 16 ulps, and then none of them leaves; that co
 about 6 ns a miss. `occluded` does not: it would double the cost of every lit point.
 """
 
+import ctypes
 import functools
+import hashlib
+import weakref
 from typing import NamedTuple
 
 import jax
@@ -144,6 +147,9 @@ def build(
 ) -> Tracer:
     """Builds Embree's acceleration structures, once a scene.
 
+    While a tracer lives, the same geometry, masks and arguments give that tracer again:
+    a scene that is loaded twice is neither built nor compiled for twice.
+
     Args:
         scene: The scene; its arrays are copied.
         backend: ``packet`` (16 rays at a time), ``run`` (one at a time), or ``auto``:
@@ -170,7 +176,31 @@ def build(
             "install embreex 4.4 or later, or choose backend 'run'"
         )
     _check_ids(scene)
+    key = (_content(scene), clib is not None, device_config)
+    if (found := _living.get(key)) is not None:
+        return found
+    _living[key] = made = _build(scene, clib, device_config)
+    return made
 
+
+# Tracers by what they were built from, as long as someone holds them.
+_living: weakref.WeakValueDictionary[tuple[str, bool, str], Tracer] = (
+    weakref.WeakValueDictionary()
+)
+
+
+def _content(scene: types.Scene) -> str:
+    """Hashes what a tracer is built from: geometry, and masks in their textures."""
+    digest = hashlib.blake2b(digest_size=20)
+    parts = (scene.geometry, scene.materials, scene.textures)
+    for leaf in jax.tree.leaves(parts):
+        array = np.ascontiguousarray(leaf)
+        digest.update(f"{array.shape} {array.dtype}".encode())
+        digest.update(array.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def _build(scene: types.Scene, clib: ctypes.CDLL | None, device_config: str) -> Tracer:
     def tracer(split: masks.Split, clear: Tracer | None = None) -> Tracer:
         count = len(split.opaque)
         if clib is None:
