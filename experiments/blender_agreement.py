@@ -58,7 +58,8 @@ def frames(
     shot: methods.Source, options: methods.Options, samples: int, *, mips: bool
 ) -> list[dict[str, np.ndarray]]:
     """Returns TAA, ATAA, raw, reference and mask of every frame."""
-    runners = [methods.runner(n, shot, options) for n in ("taa", f"ataa{samples}")]
+    name = f"ataa{samples}_paper"  # its rays read mip level 0, as Cycles does
+    runners = [methods.runner(n, shot, options) for n in ("taa", name)]
     for each in runners:
         config = each.config  # type: ignore[attr-defined]
         drawn = replace(config.raster, mip_maps=mips)
@@ -75,7 +76,7 @@ def frames(
         held["reference"] = np.asarray(color.display(truth.color))
         assert ataa.method is not None
         held["method"] = ataa.method
-        held["ataa"] = held.pop(f"ataa{samples}")
+        held["ataa"] = held.pop(name)
         found.append(held)
     return found
 

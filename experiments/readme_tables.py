@@ -5,6 +5,7 @@ python experiments/readme_tables.py
 
 import csv
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
@@ -25,6 +26,8 @@ METHODS = {
     "ataa2": "ATAA 2x",
     "ataa4": "ATAA 4x",
     "ataa8": "ATAA 8x",
+    "ataa2_paper": "ATAA 2x, paper's criteria",
+    "ataa4_paper": "ATAA 4x, paper's criteria",
     "ataa8_paper": "ATAA 8x, paper's criteria",
     "ataa8_ue4": "ATAA 8x on literature's TAA",
     "ssaa4": "SSAA 4x",
@@ -60,9 +63,20 @@ def quality() -> str:
     """SSIM by method and scene, then what ATAA removes."""
     cells = {(row["scene"], row["method"]): row for row in read("quality.csv")}
     scenes = [name for name in NAMES if (name, "taa") in cells]
+
+    def text_of(
+        scene: str, method: str, column: str, text: Callable[[str], str]
+    ) -> str:
+        row = cells.get((scene, method))
+        return "–" if row is None else text(row[column])
+
+    def digits(text: str) -> str:
+        return f"{float(text):.4f}"
+
     rows = [
-        [label, *(f"{float(cells[scene, method]['ssim']):.4f}" for scene in scenes)]
+        [label, *(text_of(scene, method, "ssim", digits) for scene in scenes)]
         for method, label in METHODS.items()
+        if any((scene, method) in cells for scene in scenes)
     ]
     for label, method, column, text in (
         ("*removed* by ATAA 8x", "ataa8", "taa_error_removed", percent),
@@ -73,7 +87,9 @@ def quality() -> str:
         ("pixels that thin features cross", "ataa8", "thin_share", percent),
         ("rays a pixel, ATAA 8x", "ataa8", "rays_per_pixel", ratio),
     ):
-        rows.append([label, *(text(cells[s, method][column]) for s in scenes)])
+        if any((scene, method) in cells for scene in scenes):
+            found = (text_of(scene, method, column, text) for scene in scenes)
+            rows.append([label, *found])
     return markdown(["SSIM", *(NAMES[scene] for scene in scenes)], rows)
 
 

@@ -75,7 +75,7 @@ def test_the_masks_and_images_agree_with_the_packages_renderer(shot):
     found = {}
     for name, source in (("ours", shot), ("theirs", read)):
         runner, drawer = (
-            methods.runner("ataa8", source, options),
+            methods.runner("ataa8_paper", source, options),
             methods.Drawer(source),
         )
         for frame in range(6):

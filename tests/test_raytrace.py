@@ -128,7 +128,10 @@ def test_traced_pixels_equal_the_brute_force_oracle(yard, samples):
         jnp.asarray(traced),
         tracer=tracer,
         config=raytrace.Config(
-            samples=samples, chunk=32, shading=effects.required(shot.scene)
+            samples=samples,
+            chunk=32,
+            footprint="level0",
+            shading=effects.required(shot.scene),
         ),
     )
     color, shadow_rays, near = oracle.traced(shot.scene, shot.inputs, size, samples)
@@ -187,19 +190,21 @@ def assert_same_but_for_edges(found, expected):
     assert close.mean() > 0.99
 
 
-def test_without_a_footprint_or_jitter_rays_are_the_papers(yard):
-    default = yard_traced(yard, 2)
-    named = yard_traced(yard, 2, footprint="level0", jitter=False)
-    np.testing.assert_array_equal(default, named)
-    expected = yard_drawn(yard, sampling.pattern(2))
-    assert_same_but_for_edges(default, expected)
+def test_at_mip_level_0_and_without_jitter_rays_are_the_papers(yard):
+    found = yard_traced(yard, 2, footprint="level0", jitter=False)
+    assert_same_but_for_edges(found, yard_drawn(yard, sampling.pattern(2)))
+
+
+def test_by_default_a_ray_reads_its_share_of_the_pixel_and_stands_still(yard):
+    named = yard_traced(yard, 2, footprint="sample", jitter=False)
+    np.testing.assert_array_equal(yard_traced(yard, 2), named)
 
 
 def test_the_pixels_footprint_reads_what_the_raster_stage_reads(yard):
     found = yard_traced(yard, 1, footprint="pixel")
     expected = yard_drawn(yard, [(0.0, 0.0)], 0.0)
     assert_same_but_for_edges(found, expected)
-    unfiltered = yard_traced(yard, 1)
+    unfiltered = yard_traced(yard, 1, footprint="level0")
     changed = np.abs(unfiltered - expected).max(axis=-1) > 1e-2
     assert changed.mean() > 0.3  # the yard's textures are finer than its pixels
 
@@ -222,7 +227,8 @@ def test_jitter_moves_the_pattern_within_the_pixel(yard):
     moved = sampling.pattern(4) + shift
     moved[moved >= 0.5] -= 1.0
     moved[moved < -0.5] += 1.0
-    found = yard_traced(yard, 4, shift, jitter=True)
+    found = yard_traced(yard, 4, shift, jitter=True, footprint="level0")
     assert_same_but_for_edges(found, yard_drawn(yard, moved))
-    changed = np.abs(found - yard_traced(yard, 4)).max(axis=-1) > 1e-2
+    still = yard_traced(yard, 4, footprint="level0")
+    changed = np.abs(found - still).max(axis=-1) > 1e-2
     assert changed.mean() > 0.3
