@@ -6,7 +6,7 @@ traced pixels and a weaker halo than level 0 on all three scenes, both budgets a
 TAAs, though the gain in SSIM is small (0.0002 to 0.0043) and the whole image's squared
 error rises in five of twelve settings. "pixel" does not help on Sponza (SSIM −0.004 to
 −0.017) nor on the built-in scene without a budget, and "sample" helps little with UE4's
-TAA at 0.5 rays a pixel, where 77 to 93 % of a halo of 0.012 to 0.018 stay.
+TAA at 0.5 rays a pixel, where 76 to 92 % of a halo of 0.012 to 0.018 stay.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
 ("pixel"), or their share of it ("sample"); see `raytrace.Config.footprint`. A typical
