@@ -39,6 +39,16 @@ def code_hash(*modules: ModuleType) -> str:
     return digest.hexdigest()
 
 
+def content_hash(tree: Any) -> str:
+    """Hashes every array of a tree, with its shape and type."""
+    digest = hashlib.blake2b(digest_size=20)
+    for leaf in jax.tree.leaves(tree):
+        array = np.asarray(leaf)
+        digest.update(f"{array.shape} {array.dtype}".encode())
+        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
 def read(file: Path, like: Tree) -> Tree | None:
     """Returns the tree of arrays in a file, or None where it is missing or misfit.
 
@@ -72,9 +82,12 @@ def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
-        Path(name).replace(file)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.savez(stream, allow_pickle=False, **arrays)
+            Path(name).replace(file)
+        finally:  # a full disk leaves no part of a file behind
+            Path(name).unlink(missing_ok=True)
         if limit_bytes is not None:
             _prune(file.parent, limit_bytes)
     except OSError:

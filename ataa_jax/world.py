@@ -1,17 +1,16 @@
 """A scene made ready to render: packed arrays, tracer, lights, cameras, exposure."""
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import (
     builtin,
+    cache,
     effects,
     embree,
     gltf,
@@ -66,11 +65,7 @@ class World:
     @cached_property
     def content_hash(self) -> str:
         """Hashes every array that decides an image of this world."""
-        digest = hashlib.blake2b(digest_size=20)
-        for array in jax.tree.leaves(self.scene):
-            digest.update(f"{array.shape} {array.dtype}".encode())
-            digest.update(np.ascontiguousarray(array).view(np.uint8).data)
-        return digest.hexdigest()
+        return cache.content_hash(self.scene)
 
     def camera(self, name: str | None) -> CameraSource:
         """Returns a camera by name, or the first.

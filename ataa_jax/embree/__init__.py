@@ -23,7 +23,6 @@ about 6 ns a miss. `occluded` does not: it would double the cost of every lit po
 
 import ctypes
 import functools
-import hashlib
 import weakref
 from typing import NamedTuple
 
@@ -32,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import errors, types
+from ataa_jax import cache, errors, types
 from ataa_jax.embree import library, masks
 from ataa_jax.embree.fallback import RunBackend
 from ataa_jax.embree.packets import PacketBackend
@@ -176,7 +175,8 @@ def build(
             "install embreex 4.4 or later, or choose backend 'run'"
         )
     _check_ids(scene)
-    key = (_content(scene), clib is not None, device_config)
+    parts = (scene.geometry, scene.materials, scene.textures)
+    key = (cache.content_hash(parts), clib is not None, device_config)
     if (found := _living.get(key)) is not None:
         return found
     _living[key] = made = _build(scene, clib, device_config)
@@ -187,17 +187,6 @@ def build(
 _living: weakref.WeakValueDictionary[tuple[str, bool, str], Tracer] = (
     weakref.WeakValueDictionary()
 )
-
-
-def _content(scene: types.Scene) -> str:
-    """Hashes what a tracer is built from: geometry, and masks in their textures."""
-    digest = hashlib.blake2b(digest_size=20)
-    parts = (scene.geometry, scene.materials, scene.textures)
-    for leaf in jax.tree.leaves(parts):
-        array = np.ascontiguousarray(leaf)
-        digest.update(f"{array.shape} {array.dtype}".encode())
-        digest.update(array.reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
 
 
 def _build(scene: types.Scene, clib: ctypes.CDLL | None, device_config: str) -> Tracer:

@@ -81,10 +81,9 @@ def step(
         choose: says each pixel's method.
         shown: False leaves out FXAA and the display image, for counts alone.
     """
-    after, blended, method, composite = composed(
+    after, _, method, composite = composed(
         state, recorded, params, extra, config=config, choose=choose
     )
-    del blended
     image = jnp.zeros((0, 0, 3), jnp.float32)
     if shown:
         image = fxaa.fxaa_sparse(
