@@ -17,21 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import (
-    cache,
-    camera,
-    compact,
-    embree,
-    layers,
-    material,
-    raster,
-    sampling,
-    shading,
-    surface,
-    texture,
-    transport,
-    vector,
-)
+from ataa_jax import cache, embree, exposure, raster, sampling
 from ataa_jax import color as colors
 from ataa_jax.scene import SceneSource
 from ataa_jax.types import FrameInputs, Scene
@@ -176,10 +162,7 @@ def _like(size: tuple[int, int]) -> Supersampled:
 
 def code_hash() -> str:
     """Hashes the sources that decide an image."""
-    return cache.code_hash(
-        *(camera, colors, compact, embree, layers, material, raster, sampling, shading),
-        *(surface, texture, transport, vector, sys.modules[__name__]),
-    )
+    return exposure.code_hash() + cache.code_hash(sys.modules[__name__])
 
 
 def _content_key(

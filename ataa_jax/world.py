@@ -13,11 +13,11 @@ from ataa_jax import (
     cache,
     effects,
     embree,
+    exposure,
     gltf,
     lighting,
     mesh_files,
     paths,
-    raster,
     shading,
     types,
 )
@@ -27,12 +27,6 @@ from ataa_jax.errors import InputError
 from ataa_jax.scene import CameraSource, LightSource, SceneSource
 
 BUILTIN = "builtin"
-# Height and width of the view from which light and exposure are measured.
-PREVIEW = (90, 160)
-
-# our choice: surfaces' largest channel, tone-mapped, has the mean 0.3, which sRGB shows
-# as 0.58. Unlike a mean of logarithms it is not led astray by black corners.
-_EXPOSURE_KEY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +45,8 @@ class World:
     lights: list[LightSource]  # as supplied or authored, before exposure
     exposure: float
     notes: list[str]  # warnings of the reader, and what was supplied
-    rays: types.Rays  # secondary rays of a frame of PREVIEW pixels
+    # Secondary rays of a frame of `exposure.PREVIEW` pixels; None: not counted.
+    rays: types.Rays | None = None
     looked: list[effects.Effect] = field(default_factory=list)  # what it calls for
     wish: effects.Wish = field(default_factory=effects.Wish)  # what was asked for
 
@@ -178,6 +173,7 @@ def load(
     path: str | Path,
     *,
     camera: str | None = None,
+    size: tuple[int, int] | None = None,
     backend: str = "auto",
     wish: effects.Wish | None = None,
 ) -> World:
@@ -187,6 +183,8 @@ def load(
         path: ``builtin``, a ``.glb`` or ``.gltf``, or any mesh that trimesh reads.
         camera: the camera for which light and exposure are decided; the first by
             default.
+        size: image (height, width) that will be rendered; loading is faster where it
+            is known, see `exposure`.
         backend: Embree's entry points, see `embree.build`.
         wish: effects asked for in place of those that the scene calls for; light and
             exposure are decided with the latter.
@@ -197,7 +195,7 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
-    return prepare(read(path), camera=camera, backend=backend, wish=wish)
+    return prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
 
 
 def read(path: str | Path) -> SceneSource:
@@ -215,6 +213,7 @@ def prepare(
     source: SceneSource,
     *,
     camera: str | None = None,
+    size: tuple[int, int] | None = None,
     backend: str = "auto",
     wish: effects.Wish | None = None,
 ) -> World:
@@ -236,7 +235,6 @@ def prepare(
         lights=[],
         exposure=1.0,
         notes=notes,
-        rays=shading.no_rays(packed.lights),
     )
     chosen = world.camera(camera)
     points = lighting.look(tracer, packed, transforms, chosen)
@@ -249,18 +247,24 @@ def prepare(
     packed = replace_lights(
         packed, scenes.pack_lights(lights), scenes.pack_sky(sky, visibility)
     )
-    bounce, exposure, rays = _bounce_and_exposure(
-        packed, tracer, transforms, chosen, visibility
+    brightness = exposure.measure(
+        packed,
+        tracer,
+        transforms,
+        cameras.make(chosen.world_from_view, chosen.fov_y),
+        visibility,
+        size=size,
+        object_motion=source.duration > 0.0,
     )
-    packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
+    packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(brightness.bounce))
     world = replace(
         world,
         source=replace(source, textures=[]),
-        scene=_exposed(packed, exposure),
+        scene=_exposed(packed, float(brightness.exposure)),
         lights=lights,
-        exposure=exposure,
+        exposure=float(brightness.exposure),
         notes=[*notes, *supplied],
-        rays=rays,
+        rays=brightness.rays if size is None else None,
         looked=[
             *effects.look(packed),
             *effects.look_at_motion(source.duration > 0.0),
@@ -317,68 +321,3 @@ def _exposed(packed: types.Scene, exposure: float) -> types.Scene:
         )
 
     return eqx.tree_at(parts, packed, tuple(part * exposure for part in parts(packed)))
-
-
-def _bounce_and_exposure(
-    packed: types.Scene,
-    tracer: embree.Tracer,
-    transforms: np.ndarray,
-    camera: CameraSource,
-    visibility: float,
-) -> tuple[np.ndarray, float, types.Rays]:
-    """Measures the surroundings' mean radiance, then exposes, on a small view.
-
-    Returns:
-        The mean radiance, the exposure, and the view's secondary rays.
-    """
-    color, hit, _ = _preview(packed, tracer, transforms, camera)
-    seen = color[hit] if hit.any() else color.reshape(-1, 3)
-    bounce = (1.0 - visibility) * seen.mean(axis=0) if hit.any() else np.zeros(3)
-    bounce = bounce.astype(np.float32)
-    lit = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(bounce))
-    color, hit, rays = _preview(lit, tracer, transforms, camera)
-    seen = color[hit] if hit.any() else color.reshape(-1, 3)
-    return bounce, _auto_exposure(seen.max(axis=1)), rays
-
-
-def _preview(
-    packed: types.Scene,
-    tracer: embree.Tracer,
-    transforms: np.ndarray,
-    camera: CameraSource,
-) -> tuple[np.ndarray, np.ndarray, types.Rays]:
-    """Draws a small view: linear colour, where a surface is, and secondary rays."""
-    view = cameras.make(camera.world_from_view, camera.fov_y)
-    groups = jnp.asarray(transforms, jnp.float32)
-    inputs = types.FrameInputs(
-        camera=view,
-        previous_camera=view,
-        world_from_group=groups,
-        previous_world_from_group=groups,
-        jitter=jnp.zeros(2, jnp.float32),
-        cut=jnp.asarray(True),
-    )
-    config = raster.Config(size=PREVIEW, shading=effects.required(packed))
-    out = raster.raster(
-        packed, inputs, raster.default_params(), tracer=tracer, config=config
-    )
-    hit = np.isfinite(np.asarray(out.gbuffer.depth))
-    return np.asarray(out.color, np.float64), hit, out.rays
-
-
-def _auto_exposure(peak: np.ndarray) -> float:
-    """Exposes so that surfaces' tone-mapped brightness has the mean of the key.
-
-    Args:
-        peak: largest channel of every surface pixel, linear.
-    """
-    peak = peak[np.isfinite(peak) & (peak > 0.0)]
-    if peak.size == 0:
-        return 1.0
-    low, high = -60.0, 60.0  # log2 of the exposure; the mean grows with it
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        exposed = peak * 2.0**middle
-        bright = float(np.mean(exposed / (1.0 + exposed))) > _EXPOSURE_KEY
-        low, high = (low, middle) if bright else (middle, high)
-    return float(2.0 ** (0.5 * (low + high)))

@@ -132,7 +132,7 @@ class Result:
 
 def measure(case: failures.Case, size: tuple[int, int]) -> Result:
     """Renders a case by TAA, ATAA and, where that misses much, further criteria."""
-    world = worlds.prepare(case.build())
+    world = worlds.prepare(case.build(), size=size)
     shot = worlds.sequence(world, case.path, size)
     config, params = pipeline.preset("paper", world.scene, size, budget=float("inf"))
     result = Result(

@@ -2,8 +2,18 @@
 
 import gc
 import os
+import shutil
+import tempfile
 
 os.environ["JAX_PLATFORMS"] = "cpu"
+
+# What one worker or process compiled, the others load: a folder for this run alone.
+# (Programs that call Embree hold an address of their process and are never kept.)
+os.environ["ATAA_TESTS_PROGRAMS"] = os.environ.get(
+    "ATAA_TESTS_PROGRAMS"
+) or tempfile.mkdtemp(prefix="ataa-tests-")
+os.environ["JAX_COMPILATION_CACHE_DIR"] = os.environ["ATAA_TESTS_PROGRAMS"]
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 
 import hypothesis
 import jax
@@ -21,6 +31,12 @@ SLOWEST = (
     *("test_real_scenes", "test_failures", "test_fit", "test_effects", "test_cli"),
     *("test_readme", "test_pipeline", "test_reference", "test_raytrace"),
 )
+
+
+def pytest_unconfigure() -> None:
+    """Removes the folder of programs, once its users are gone."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        shutil.rmtree(os.environ["ATAA_TESTS_PROGRAMS"], ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

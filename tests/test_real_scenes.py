@@ -13,7 +13,7 @@ from ataa_jax import embree, lighting, pipeline, types
 from ataa_jax import world as worlds
 from tests.scenes import scene_path
 
-SIZE = worlds.PREVIEW  # loading a scene compiles the raster stage for this size
+SIZE = (90, 160)
 NAMES = (
     "sponza", "modern_house", "dutch_ship", "littlest_tokyo", "cesium_milk_truck",
 )  # fmt: skip

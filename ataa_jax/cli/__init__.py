@@ -230,7 +230,7 @@ def bench(
 
         with terminal.progress() as report:
             report("loading the scene", 0, 2)
-            loaded, _ = _load(scene, camera)
+            loaded, _ = _load(scene, camera, None, extent)
             report("measuring", 1, 2)
             rows = benchmark.run(
                 loaded, extent, camera, 0.5 if budget is None else budget
@@ -294,7 +294,8 @@ def _compare(
 def _load(
     scene: str,
     camera: str | None,
-    motion: str | None = None,
+    motion: str | None,
+    extent: tuple[int, int],
     wish: "effects.Wish | None" = None,
 ) -> tuple["world.World", "paths.CameraPath"]:
     """Loads a scene, lit and exposed for the camera at which the path starts."""
@@ -305,7 +306,7 @@ def _load(
     paths.load(text, motion)  # so that a mistake is told before a long read
     source = worlds.read(scene)
     path = paths.load(text, motion, [known.name for known in source.cameras])
-    return worlds.prepare(source, camera=path.camera, wish=wish), path
+    return worlds.prepare(source, camera=path.camera, size=extent, wish=wish), path
 
 
 def _wish(text: str | None) -> "effects.Wish | None":
@@ -337,7 +338,7 @@ def _prepare(
     wish = _wish(options.pop("effects", None))
     table = parameters.read(params) if params is not None else {}
     report("loading the scene", 0, 1)
-    loaded, path = _load(scene, camera, motion, wish)
+    loaded, path = _load(scene, camera, motion, extent, wish)
     if table:
         config, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"

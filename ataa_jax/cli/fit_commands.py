@@ -132,7 +132,7 @@ def _record(
     source = worlds.read(scene)
     known = [each.name for each in source.cameras]
     path = paths.load(camera or "walk", motion, known)
-    world = worlds.prepare(source, camera=path.camera)
+    world = worlds.prepare(source, camera=path.camera, size=extent)
     shot = worlds.sequence(world, path, extent)
     frames, lead_in, samples = counts
     made = fits.record(

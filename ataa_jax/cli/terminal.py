@@ -19,7 +19,7 @@ Report = Callable[[str, int, int], None]
 def describe(loaded: "world.World") -> None:
     """Prints what a scene holds, and which effects it calls for, and their rays."""
     from ataa_jax import effects
-    from ataa_jax.world import PREVIEW
+    from ataa_jax.exposure import PREVIEW
 
     source, console = loaded.source, Console(highlight=False)
     triangles = sum(len(mesh.triangles) for mesh in source.meshes)
@@ -49,7 +49,9 @@ def describe(loaded: "world.World") -> None:
     lights = [(li.name, kinds[li.kind], _vector(li.intensity)) for li in loaded.lights]
     console.print(table(("Name", "Kind", "Intensity (lux or cd)"), lights))
     console.print("\n[bold]Effects[/bold]")
-    costs = effects.costs(loaded.rays, PREVIEW[0] * PREVIEW[1])
+    costs = {}
+    if loaded.rays is not None:
+        costs = effects.costs(loaded.rays, PREVIEW[0] * PREVIEW[1])
     looked = [
         (
             e.name,
