@@ -5,7 +5,7 @@ alpha is coverage. Images are as in `images`.
 """
 
 import numpy as np
-from skimage.draw import polygon
+from skimage.measure import grid_points_in_poly
 
 from ataa_jax.builtin import images
 from ataa_jax.builtin.images import Color
@@ -22,10 +22,13 @@ class _Canvas:
 
     def fill(self, outline: np.ndarray, color: np.ndarray) -> None:
         """Fills a polygon (n, 2) with an sRGB colour."""
-        x, y = (outline * self.scale - 0.5).T
-        rows, columns = polygon(y, x, self.pixels.shape[:2])
-        self.pixels[rows, columns, :3] = np.clip(color, 0.0, 1.0)
-        self.pixels[rows, columns, 3] = 1.0
+        corners = (outline * self.scale - 0.5)[:, ::-1]  # row, column
+        last = np.array(self.pixels.shape[:2]) - 1
+        low = np.clip(np.floor(corners.min(axis=0)), 0, last).astype(int)
+        high = np.clip(np.ceil(corners.max(axis=0)), 0, last).astype(int)
+        inside = grid_points_in_poly(tuple(high - low + 1), corners - low)
+        box = self.pixels[low[0] : high[0] + 1, low[1] : high[1] + 1]
+        box[inside] = (*np.clip(color, 0.0, 1.0), 1.0)
 
     def stroke(
         self, start: np.ndarray, end: np.ndarray, width: float, color: np.ndarray
