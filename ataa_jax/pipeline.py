@@ -259,7 +259,7 @@ def antialias(
                 "segmentation",
                 segmentation.segment(
                     state, color, gbuffer, blended.reprojected, params.segmentation,
-                    _max_pixels(params.budget, size, config.raytrace.samples),
+                    max_pixels(params.budget, config),
                     config=config.segmentation, blended=blended.color,
                 ),
             )  # fmt: skip
@@ -459,12 +459,10 @@ def with_size(config: Config, size: tuple[int, int]) -> Config:
     return replace(config, raster=replace(config.raster, size=size))
 
 
-def _max_pixels(
-    budget: Float[Array, ""], size: tuple[int, int], samples: int
-) -> Int[Array, ""]:
-    """Returns how many pixels the ray budget pays for."""
-    pixels = size[0] * size[1]
-    affordable = jnp.floor(budget * (pixels / samples))
+def max_pixels(budget: Float[Array, ""], config: Config) -> Int[Array, ""]:
+    """Returns how many pixels of a frame a ray budget pays for."""
+    pixels = config.raster.size[0] * config.raster.size[1]
+    affordable = jnp.floor(budget * (pixels / config.raytrace.samples))
     return jnp.clip(affordable, 0.0, float(pixels)).astype(jnp.int32)
 
 

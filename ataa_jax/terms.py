@@ -6,6 +6,7 @@ than the 3×3 mean, whose luminance does not change. All are dimensionless. Bord
 of every 3×3: clamp to edge.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -124,6 +125,17 @@ def _mean_and_deviation(
     plane: Float[Array, "h w"],
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns mean and standard deviation of the 3×3."""
+    mean, variance = _mean_and_variance(plane)
+    return mean, jnp.sqrt(variance)
+
+
+def _variance(plane: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    return _mean_and_variance(plane)[1]
+
+
+def _mean_and_variance(
+    plane: Float[Array, "h w"],
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     bordered = window.border(plane)
     mean = window.mean3x3(bordered)
     # Differences from the mean, not E[x²] − m²: a flat area's spread is exactly 0 or
@@ -132,20 +144,32 @@ def _mean_and_deviation(
     for row in window.neighbours(bordered):
         for other in row:
             total = total + (other - mean) ** 2
-    return mean, jnp.sqrt(total * (1.0 / 9.0))
+    return mean, total * (1.0 / 9.0)
 
 
 def response(
-    blended: Float[Array, "h w 3"], reprojected: Float[Array, "h w 3"]
+    blended: Float[Array, "h w 3"],
+    reprojected: Float[Array, "h w 3"],
+    contrast: Float[Array, ""],
 ) -> Float[Array, "h w"]:
-    """Returns the distance of TAA's result from the history it read, in [0, 1].
+    """Returns Δ · c / √(σ² + c²), in [0, 1]: TAA's distance from the history it read.
 
-    What rectification and the new sample did together, in the colours that are shown:
-    √(mean over the channels of the squared sRGB difference).
+    Δ is what rectification and the new sample did together, in the colours that are
+    shown: √(mean over the channels of the squared sRGB difference). σ is the 3×3's
+    standard deviation of the history's sRGB luma: where the picture is busy, the same
+    error is seen less, by SSIM too, whose denominator is σ² + σ² + C₂.
+
+    Args:
+        blended: TAA's result, linear.
+        reprojected: the history that it read, linear.
+        contrast: c > 0, the σ at which Δ counts for 1/√2 of what it does on a flat
+            area.
     """
     now, then = (vector.unstack(colors.display(i)) for i in (blended, reprojected))
     x, y, z = now.x - then.x, now.y - then.y, now.z - then.z
     mean = (x * x + y * y + z * z) * (1.0 / 3.0)
     # The safe-root pattern: both branches have finite gradients.
     moved = mean > 0.0
-    return jnp.where(moved, jnp.sqrt(jnp.where(moved, mean, 1.0)), 0.0)
+    distance = jnp.where(moved, jnp.sqrt(jnp.where(moved, mean, 1.0)), 0.0)
+    squared = _variance(colors.luma_vec(then)) / (contrast * contrast)
+    return distance * jax.lax.rsqrt(squared + 1.0)

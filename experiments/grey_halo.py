@@ -9,7 +9,8 @@ error rises in five of twelve settings. "pixel" does not help on Sponza (SSIM �
 TAA at 0.5 rays a pixel, where 76 to 92 % of a halo of 0.012 to 0.018 stay.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
-("pixel"), or their share of it ("sample"); see `raytrace.Config.footprint`. A typical
+("pixel"), or their whole share of it ("sample"); see `raytrace.Config.footprint`, whose
+default takes half of the share (`ray_footprint.py`). A typical
 walk at 320×180 against 64 samples a pixel at mip level 0, with a budget of 0.5 sparse
 rays a pixel and without one; with the tuned TAA, whose raster textures are sharpened by
 a mip bias of −2, and with UE4's at bias 0, the paper's case.
@@ -95,7 +96,7 @@ def measure(walk: walks.Walk, budget: float) -> dict[str, dict[str, float]]:
     params = pipeline.with_budget(walk.params, budget)
     runs = {}
     for footprint in FOOTPRINTS:
-        rays = replace(walk.config.raytrace, footprint=footprint)
+        rays = replace(walk.config.raytrace, footprint=footprint, footprint_scale=1.0)
         config = replace(walk.config, raytrace=rays)
         runs[footprint] = list(walks.antialias(walk, config, params))
     methods = np.stack(

@@ -122,12 +122,12 @@ def test_pixels_without_a_signal_and_masks_of_none_or_all_give_finite_gradients(
 
 def test_terms_of_flat_depth_equal_luminance_and_sky_are_finite_with_their_gradients():
     color = jnp.full((5, 6, 3), 0.25)
-    floor = jnp.float32(0.004)
+    floor, contrast = jnp.float32(0.004), jnp.float32(0.03)
     cases = {
         "depth": (terms.depth_edge, (jnp.full((5, 6), 4.0),)),
         "sky": (terms.depth_edge, (jnp.full((5, 6), jnp.inf),)),
         "luminance": (lambda a, b: terms.luminance(a, b, floor), (color, color)),
-        "response": (terms.response, (color, color)),
+        "response": (lambda a, b: terms.response(a, b, contrast), (color, color)),
     }
     for name, (term, operands) in cases.items():
         assert jnp.all(term(*operands) == 0.0), name
@@ -138,8 +138,21 @@ def test_terms_of_flat_depth_equal_luminance_and_sky_are_finite_with_their_gradi
 
 def test_the_response_is_the_distance_of_black_from_white_at_most():
     black, white = jnp.zeros((3, 4, 3)), jnp.full((3, 4, 3), 1e30)
-    np.testing.assert_allclose(terms.response(black, white), 1.0, rtol=1e-5)
-    assert jnp.all(terms.response(white, white) == 0.0)
+    contrast = jnp.float32(0.03)
+    np.testing.assert_allclose(terms.response(black, white, contrast), 1.0, rtol=1e-5)
+    assert jnp.all(terms.response(white, white, contrast) == 0.0)
+
+
+def test_the_same_error_counts_less_where_the_picture_is_busy():
+    flat = jnp.full((5, 5, 3), 0.2)
+    busy = flat * (1.0 + 0.5 * (-1.0) ** jnp.arange(25.0).reshape(5, 5, 1))
+    contrast = jnp.float32(0.03)
+    on_flat, on_busy = (
+        terms.response(x * 1.2, x, contrast)[2, 2] for x in (flat, busy)
+    )
+    assert on_busy < 0.5 * on_flat
+    wide = terms.response(busy * 1.2, busy, jnp.float32(1e3))[2, 2]
+    assert wide > 0.9 * on_flat
 
 
 def test_the_solved_threshold_spends_the_budget(take, recording):
@@ -167,7 +180,7 @@ def test_only_ratios_of_the_weights_matter(take, recording):
 def test_coordinates_and_places_are_inverse():
     quantities = (*space.weights(TERMS), *space.KNOWN)
     _, params = pipeline.preset("tuned", None, (4, 4))
-    u = jnp.asarray([0.1, 0.9, 0.4, 0.5, 0.2, 0.7])
+    u = jnp.asarray([0.1, 0.9, 0.4, 0.5, 0.3, 0.2, 0.7])
     placed = space.place(params, quantities, u)
     back = space.coordinates(placed, quantities)
     np.testing.assert_allclose(back, u, atol=1e-5)  # float32 logarithms

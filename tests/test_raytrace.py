@@ -195,8 +195,8 @@ def test_at_mip_level_0_and_without_jitter_rays_are_the_papers(yard):
     assert_same_but_for_edges(found, yard_drawn(yard, sampling.pattern(2)))
 
 
-def test_by_default_a_ray_reads_its_share_of_the_pixel_and_stands_still(yard):
-    named = yard_traced(yard, 2, footprint="sample", jitter=False)
+def test_by_default_a_ray_reads_half_its_share_of_the_pixel_and_stands_still(yard):
+    named = yard_traced(yard, 2, footprint="sample", footprint_scale=0.5, jitter=False)
     np.testing.assert_array_equal(yard_traced(yard, 2), named)
 
 
@@ -211,10 +211,10 @@ def test_the_pixels_footprint_reads_what_the_raster_stage_reads(yard):
 
 @pytest.mark.parametrize(("samples", "levels"), [(2, 0.5), (4, 1.0), (8, 1.5)])
 def test_a_samples_footprint_is_its_share_of_the_pixel(yard, samples, levels):
-    found = yard_traced(yard, samples, footprint="sample")
-    assert_same_but_for_edges(
-        found, yard_drawn(yard, sampling.pattern(samples), -levels)
-    )
+    for scale, finer in ((1.0, 0.0), (0.5, 1.0)):
+        found = yard_traced(yard, samples, footprint="sample", footprint_scale=scale)
+        drawn = yard_drawn(yard, sampling.pattern(samples), -levels - finer)
+        assert_same_but_for_edges(found, drawn)
 
 
 def test_a_jitter_of_zero_changes_no_bit(yard):

@@ -468,8 +468,13 @@ def test_the_response_term_agrees_with_the_oracle():
         low = mapped <= 0.0031308
         return np.where(low, 12.92 * mapped, 1.055 * mapped ** (1 / 2.4) - 0.055)
 
-    expected = np.sqrt(((shown(blended) - shown(then)) ** 2).mean(axis=-1))
-    term = terms.response(jnp.asarray(blended), jnp.asarray(then))
+    distance = np.sqrt(((shown(blended) - shown(then)) ** 2).mean(axis=-1))
+    luma = np.pad(shown(then) @ np.array([0.2126, 0.7152, 0.0722]), 1, mode="edge")
+    busy = np.array(
+        [[luma[i : i + 3, j : j + 3].std() for j in range(7)] for i in range(5)]
+    )
+    expected = distance * 0.1 / np.hypot(busy, 0.1)
+    term = terms.response(jnp.asarray(blended), jnp.asarray(then), jnp.float32(0.1))
     # A few float32 steps of a power near 1.
     np.testing.assert_allclose(term, expected, atol=1e-6)
 

@@ -2,8 +2,9 @@
 
 1. yardsticks on every sequence; 2. a relaxed fit of the weights, from equal ones;
 3. Nelder–Mead on the closed loop over weights, reset and hold, from the better of the
-relaxed fit with and without a hold; 4. the threshold of all sequences together;
-5. the same contenders on what was held out.
+relaxed fit with and without a hold; 4. the lowest of the thresholds that spend the
+budget on one sequence each, so that none leaves rays unspent: a frame that would ask
+for more is held to the budget; 5. the same contenders on what was held out.
 """
 
 import hashlib
@@ -19,7 +20,7 @@ import numpy as np
 
 from ataa_jax import pipeline, segmentation
 from ataa_jax.errors import InputError
-from ataa_jax.fit import optimize, score, soft, solve, space, yardsticks
+from ataa_jax.fit import optimize, score, soft, space, yardsticks
 from ataa_jax.fit.checkpoint import NOWHERE, Checkpoints
 from ataa_jax.fit.recording import Recording
 from ataa_jax.fit.replay import Take
@@ -57,7 +58,7 @@ class Standing:
     oracle: float
     rays: float  # of the fitted weights
     threshold: float  # theirs, solved for this sequence
-    carried: float  # the file untouched, threshold and all
+    carried: float  # the file untouched: its threshold, and its budget a frame
     carried_rays: float
 
     @property
@@ -181,13 +182,15 @@ def fit(
         params, evaluations = _search(
             on, start, options, quantities, checkpoints, progress
         )
-    joint = solve.threshold(on, params, jnp.float32(options.budget))
-    if abs(float(joint.rays) / options.budget - 1.0) > 0.05:
+    own = [score.at_budget(take, params, options.budget) for take in on]
+    spent = [each.rays for each in own]
+    if max(abs(rays / options.budget - 1.0) for rays in spent) > 0.05:
         notes.append(
-            f"no threshold spends {options.budget:g} rays a pixel: the nearest is "
-            f"{float(joint.rays):.3f}"
+            f"no threshold spends {options.budget:g} rays a pixel everywhere: the "
+            f"sequences' own spend {min(spent):.3f} to {max(spent):.3f}"
         )
-    params = space.with_threshold(params, joint.threshold, config)
+    lowest = min(each.threshold for each in own)
+    params = space.with_threshold(params, jnp.float32(lowest), config)
     params = pipeline.with_budget(params, options.budget)
     unseen = [Take.of(each) for each in held_out]
     names = [each.name for each in (*recordings, *held_out)]
@@ -270,7 +273,7 @@ def _standing(
     options: Options,
 ) -> Standing:
     own = score.at_budget(take, params, options.budget)
-    untouched = score.as_is(take, params)
+    untouched = score.as_is(take, params, capped=True)
     return Standing(
         scene=name,
         **base,

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
 from ataa_jax import color as colors
-from ataa_jax import fxaa, pipeline, resolve, segmentation, taa
+from ataa_jax import fxaa, pipeline, raytrace, resolve, segmentation, taa
 from ataa_jax.fit.recording import Recorded, Recording
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
 
@@ -34,9 +34,16 @@ Chooser = Callable[
 ]
 
 
-def by_criteria(config: segmentation.Config) -> Chooser:
-    """Returns the segmentation stage itself, without a budget, as chooser."""
-    return partial(_by_criteria, config=config)
+def by_criteria(
+    config: segmentation.Config, budget_of: pipeline.Config | None = None
+) -> Chooser:
+    """Returns the segmentation stage itself as chooser.
+
+    Args:
+        config: of the stage.
+        budget_of: says how many pixels the budget pays for; None: no budget.
+    """
+    return partial(_by_criteria, config=config, budget_of=budget_of)
 
 
 def _by_criteria(
@@ -47,17 +54,17 @@ def _by_criteria(
     extra: object,
     *,
     config: segmentation.Config,
+    budget_of: pipeline.Config | None,
 ) -> Segmentation:
     del extra
-    return segmentation.segmentation(
-        state,
-        recorded.color,
-        recorded.gbuffer,
-        blended.reprojected,
+    given = (
+        *(state, recorded.color, recorded.gbuffer, blended.reprojected),
         params.segmentation,
-        config=config,
-        blended=blended.color,
     )
+    if budget_of is None:
+        return segmentation.segmentation(*given, config=config, blended=blended.color)
+    limit = pipeline.max_pixels(params.budget, budget_of)
+    return segmentation.segment(*given, limit, config=config, blended=blended.color)[0]
 
 
 def step(
@@ -70,12 +77,12 @@ def step(
     choose: Chooser,
     shown: bool = True,
 ) -> tuple[State, Played]:
-    """Replays one frame, without a budget: the chooser keeps its own.
+    """Replays one frame; a budget is the chooser's affair.
 
     Args:
         state: what the frame before left.
         recorded: the frame.
-        params: numbers; `budget` is not read.
+        params: numbers.
         extra: operands of the chooser.
         config: the stages' choices.
         choose: says each pixel's method.
@@ -180,6 +187,7 @@ def replayable(config: pipeline.Config) -> pipeline.Config:
         raster=replace(pipeline.Config().raster, size=config.raster.size),
         taa=config.taa,
         segmentation=config.segmentation,
+        raytrace=raytrace.Config(samples=config.raytrace.samples),
         resolve=config.resolve,
         fxaa=config.fxaa,
     )

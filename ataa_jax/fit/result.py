@@ -122,8 +122,8 @@ def _constants(
         if term in on and f"{term}_threshold" in own:
             found[f"{term}_threshold"] = own[f"{term}_threshold"]
     for key in (
-        "luminance_floor", "disocclusion_px", "disocclusion_relative",
-        "depth_relative", "reset_px", "hold",
+        "response_contrast", "luminance_floor", "disocclusion_px",
+        "disocclusion_relative", "depth_relative", "reset_px", "hold",
     ):  # fmt: skip
         found[key] = own[key]
     return found

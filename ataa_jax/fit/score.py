@@ -36,13 +36,17 @@ def check_budget(budget: float, samples: int = 8) -> None:
         )
 
 
-@jax.jit
-def _played(take: Take, params: pipeline.Params) -> replay.Played:
+@partial(jax.jit, static_argnames="capped")
+def _played(
+    take: Take, params: pipeline.Params, *, capped: bool = False
+) -> replay.Played:
+    config = take.config
+    budget_of = config if capped else None
     return replay.play(
         take.frames,
         params,
-        config=take.config,
-        choose=replay.by_criteria(take.config.segmentation),
+        config=config,
+        choose=replay.by_criteria(config.segmentation, budget_of),
     )
 
 
@@ -62,10 +66,21 @@ def at_budget(take: Take, params: pipeline.Params, budget: float) -> Result:
 
 
 def as_is(
-    take: Take, params: pipeline.Params, threshold: float | None = None
+    take: Take,
+    params: pipeline.Params,
+    threshold: float | None = None,
+    *,
+    capped: bool = False,
 ) -> Result:
-    """Scores parameters untouched, with the rays that they ask for."""
-    played = _played(take, params)
+    """Scores parameters untouched, with the rays that they ask for.
+
+    Args:
+        take: the sequence.
+        params: numbers.
+        threshold: told in the result; None: their own.
+        capped: each frame keeps the budget of `params`, as `pipeline.frame` does.
+    """
+    played = _played(take, params, capped=capped)
     if threshold is None:
         threshold = float(params.segmentation.threshold)
     return Result(
