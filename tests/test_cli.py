@@ -48,10 +48,10 @@ def one_world():
     # Every world has a tracer of its own, for which all stages compile anew.
     prepare, kept = world.prepare, {}
 
-    def kept_world(source, *, camera=None, backend="auto", wish=None):
-        key = (id(source), camera, backend, wish)  # `read` keeps its sources
+    def kept_world(source, **options):
+        key = (id(source), *options.items())  # `read` keeps its sources
         if key not in kept:
-            kept[key] = prepare(source, camera=camera, backend=backend, wish=wish)
+            kept[key] = prepare(source, **options)
         return kept[key]
 
     with pytest.MonkeyPatch.context() as patch:
