@@ -1,8 +1,9 @@
 """A still camera: does the picture converge, and what do filtered mips cost?
 
 SSIM against the reference after 8, 16, 32, 64 and 128 frames, of TAA and ATAA with the
-defaults, of TAA at mip level 0, and of the plain mean of jittered frames at mip level 0
-(no rectification, weight 1/(n + 1)), which is the box filter of its samples.
+defaults, of ATAA by the paper's criteria, of TAA at mip level 0, and of the plain mean
+of jittered frames at mip level 0 (no rectification, weight 1/(n + 1)), which is the box
+filter of its samples.
 
     python experiments/still.py               # writes experiments/results/still.csv
 """
@@ -43,6 +44,7 @@ def variants(
     unlimited = pipeline.with_taa(params, taa.default_params())
     return {
         "ataa8": (config, params),
+        "ataa8_paper": pipeline.preset("paper", shot.world.scene, shot.size),
         "taa": (plain, params),
         "taa, mip 0": (unfiltered, params),
         "mean, mip 0": (mean, unlimited),
