@@ -10,6 +10,7 @@ rays a pixel, references of 64 samples. Parts:
 - held_out: leave one scene out; and other paths of fitted scenes;
 - attribution: what each criterion is worth, missed failures and wasted rays;
 - rank: how well the relaxed loss predicts the hard one;
+- contrast: the response's contrast, all else as in `data/fitted.toml`;
 - grid: optimistix against a grid search of the same parameters.
 """
 
@@ -19,6 +20,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scenes
@@ -38,6 +40,7 @@ OPTIONS = fits.Options(budget=BUDGET)
 QUICK = replace(OPTIONS, steps=0)
 # Paths of other kinds and speeds than what is fitted to.
 PATHS = (("pan", "typical"), ("dolly", "typical"), ("walk", 0.03))
+CONTRAST_SCENES = (worlds.BUILTIN, "sponza", "cesium_milk_truck")
 GRID_SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 
 
@@ -185,6 +188,23 @@ def attribution(names: list[str]) -> None:
     files.write_png(RESULTS / "fit_attribution.png", both)
 
 
+def contrast(names: list[str]) -> None:
+    """How much the response should heed the picture's contrast; 1,000: not at all."""
+    rows = []
+    for name in (n for n in CONTRAST_SCENES if n in names):
+        made = recording(name)
+        plain, params = fits.Take.of(made), parameters.load(FITTED, made.params)
+        take = plain.under(space.switched(plain.config.segmentation, OPTIONS.terms))
+        for value in (1e3, 0.12, 0.06, 0.03, 0.015):
+            own = eqx.tree_at(
+                lambda p: p.segmentation.response_contrast, params, jnp.float32(value)
+            )
+            found = score.at_budget(take, own, BUDGET)
+            rows.append((name, f"{value:g}", found.ssim, found.threshold))
+            print(*rows[-1], flush=True)
+    write("fit_contrast.csv", ("scene", "contrast", "ssim", "threshold"), rows)
+
+
 def grid(names: list[str]) -> None:
     """Nelder–Mead and the relaxed fit against a grid over the same bounds."""
     size = (90, 160)
@@ -218,6 +238,7 @@ PARTS = {
     "paths": paths,
     "attribution": attribution,
     "rank": rank,
+    "contrast": contrast,
     "grid": grid,
 }
 
