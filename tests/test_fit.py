@@ -281,13 +281,13 @@ def test_the_same_seed_gives_the_same_bytes(fitted, recording, tmp_path):
     assert (tmp_path / "a.toml").read_bytes() == (tmp_path / "b.toml").read_bytes()
 
 
-def test_the_file_spends_the_budget_on_each_sequence_and_no_more(fitted):
+def test_the_file_carries_the_lowest_threshold_and_no_frame_exceeds_the_budget(fitted):
     (standing,) = fitted.standings
     assert float(fitted.params.segmentation.threshold) == pytest.approx(
         standing.threshold, rel=1e-6
     )
-    assert standing.carried_rays <= OPTIONS.budget + 1e-6
-    assert standing.carried_rays == pytest.approx(OPTIONS.budget, rel=0.05)
+    # Frames that ask for more than the mean are held to it; others ask for less.
+    assert 0.0 < standing.carried_rays <= OPTIONS.budget + 1e-6
 
 
 def test_a_fits_file_gives_back_its_numbers_choices_and_provenance(fitted, tmp_path):
