@@ -2,7 +2,7 @@
 
 At each of them 2, 4 or 8 rays in the Direct3D n-rooks pattern, shaded by the same code
 as the raster stage. The paper's rays read textures at mip level 0 and are not jittered;
-here a ray reads its share of the pixel, and both are choices.
+here a ray reads half of its share of the pixel, and both are choices.
 
 The number of traced pixels changes every frame. Pixels are taken in chunks of a fixed
 capacity inside a `while_loop`: the program is compiled once, and a frame costs as many

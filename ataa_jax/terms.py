@@ -129,10 +129,6 @@ def _mean_and_deviation(
     return mean, jnp.sqrt(variance)
 
 
-def _variance(plane: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    return _mean_and_variance(plane)[1]
-
-
 def _mean_and_variance(
     plane: Float[Array, "h w"],
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
@@ -171,5 +167,5 @@ def response(
     # The safe-root pattern: both branches have finite gradients.
     moved = mean > 0.0
     distance = jnp.where(moved, jnp.sqrt(jnp.where(moved, mean, 1.0)), 0.0)
-    squared = _variance(colors.luma_vec(then)) / (contrast * contrast)
-    return distance * jax.lax.rsqrt(squared + 1.0)
+    _, variance = _mean_and_variance(colors.luma_vec(then))
+    return distance * jax.lax.rsqrt(variance / (contrast * contrast) + 1.0)

@@ -195,9 +195,11 @@ def fit(
     unseen = [Take.of(each) for each in held_out]
     names = [each.name for each in (*recordings, *held_out)]
     bases += [_yardsticks(take, start, options) for take in unseen]
+    on += tuple(take.under(config) for take in unseen)
+    own += [score.at_budget(take, params, options.budget) for take in on[len(own) :]]
     standings = []
-    for name, base, take in zip(names, bases, (*takes, *unseen), strict=True):
-        standings.append(_standing(name, base, take.under(config), params, options))
+    for name, base, take, solved in zip(names, bases, on, own, strict=True):
+        standings.append(_standing(name, base, take, params, solved))
         progress(f"scores on {name}", len(standings), len(names))
     return Fitted(
         params=params,
@@ -270,9 +272,8 @@ def _standing(
     base: dict[str, float],
     take: Take,
     params: pipeline.Params,
-    options: Options,
+    own: score.Result,
 ) -> Standing:
-    own = score.at_budget(take, params, options.budget)
     untouched = score.as_is(take, params, capped=True)
     return Standing(
         scene=name,
