@@ -17,14 +17,12 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-import platformdirs
+
+from ataa_jax.programs import folder, prune
+
+__all__ = ["code_hash", "content_hash", "folder", "read", "write"]
 
 Tree = TypeVar("Tree")
-
-
-def folder() -> Path:
-    """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
-    return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
 
 
 @cache
@@ -89,19 +87,10 @@ def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
         finally:  # a full disk leaves no part of a file behind
             Path(name).unlink(missing_ok=True)
         if limit_bytes is not None:
-            _prune(file.parent, limit_bytes)
+            prune(file.parent, limit_bytes, "*.npz")
     except OSError:
         return
 
 
 def _name(path: Any) -> str:
     return jax.tree_util.keystr(path).lstrip(".") or "array"
-
-
-def _prune(place: Path, limit_bytes: int) -> None:
-    files = sorted(place.glob("*.npz"), key=lambda f: f.stat().st_mtime)
-    total = sum(f.stat().st_size for f in files)
-    while files and total > limit_bytes:
-        oldest = files.pop(0)
-        total -= oldest.stat().st_size
-        oldest.unlink(missing_ok=True)

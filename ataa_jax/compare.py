@@ -26,6 +26,7 @@ from ataa_jax.methods import (
     effects_of,
     runner,
     scene_of,
+    warming,
 )
 
 REFERENCE = "reference"
@@ -127,21 +128,27 @@ def compare(
 
     drawer = Drawer(shot)
     previous: dict[str, np.ndarray] = {}
-    for index in range(-options.lead_in, options.frames):
-        drawer.start(index)
-        images = {}
-        for each in runners:
-            if index >= 0 or each.temporal:
-                images[each.name] = each.run(index, drawer)
-        if index < 0:
-            step(f"lead-in frame {index}")
+    with warming(runners, shot):
+        for index in range(-options.lead_in, options.frames):
+            drawer.start(index)
+            if index == 0:  # times are of the frames that are scored
+                for each in runners:
+                    each.ready()
+                    each.times.clear()
+            images = {}
+            for each in runners:
+                if index >= 0 or each.temporal:
+                    images[each.name] = each.run(index, drawer)
+            if index < 0:
+                step(f"lead-in frame {index}")
+                previous = images
+                continue
+            told = partial(step, f"frame {index + 1} of {options.frames}")
+            seen = truth(shot, index, options, told)
+            images[REFERENCE] = np.asarray(colors.display(seen.color))
+            thin = np.asarray(seen.thin)
+            _score(result, runners, images, previous, index, thin, drawer)
             previous = images
-            continue
-        told = partial(step, f"frame {index + 1} of {options.frames}")
-        seen = truth(shot, index, options, told)
-        images[REFERENCE] = np.asarray(colors.display(seen.color))
-        _score(result, runners, images, previous, index, np.asarray(seen.thin), drawer)
-        previous = images
     for each in runners:
         result.stage_ms[each.name] = each.steady()
     result.peak_memory_bytes = peak_memory()

@@ -62,20 +62,21 @@ def shoot(
     drawer = Drawer(shot)
     first = -options.lead_in if runner.temporal else 0
     rows: list[tuple[str, ...]] = []
-    for index in range(first, options.frames):
-        drawer.start(index)
-        image = runner.run(index, drawer)
-        if index >= 0:
-            _write_frame(folder, index, image, runner, exr=exr)
-            rows.append(_statistics(index, runner))
-            if isinstance(shot, Capture):
-                output = getattr(runner, "output", None)
-                output = output if runner.method is not None else None
-                rays = rays_of(shot, method)
-                results.write(folder, shot, index, image, output, rays)
-        progress(
-            f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
-        )
+    with methods.warming([runner], shot):
+        for index in range(first, options.frames):
+            drawer.start(index)
+            image = runner.run(index, drawer)
+            if index >= 0:
+                _write_frame(folder, index, image, runner, exr=exr)
+                rows.append(_statistics(index, runner))
+                if isinstance(shot, Capture):
+                    output = getattr(runner, "output", None)
+                    output = output if runner.method is not None else None
+                    rays = rays_of(shot, method)
+                    results.write(folder, shot, index, image, output, rays)
+            progress(
+                f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
+            )
     files.write_csv(folder / "statistics.csv", STATISTICS, rows)
     write_timings(
         {method: runner.steady()}, compare.peak_memory(), folder / "timings.csv"

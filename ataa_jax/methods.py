@@ -6,7 +6,9 @@ runners share. Times are taken around blocked stages.
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +22,7 @@ from ataa_jax import (
     fxaa,
     pipeline,
     raster,
+    raytrace,
     reference,
     sampling,
     segmentation,
@@ -169,10 +172,21 @@ class Runner(ABC):
         self.shares: dict[str, float] = {}
         self.method: np.ndarray | None = None
         self.why: np.ndarray | None = None
+        self.warming: Future[None] | None = None
 
     @abstractmethod
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         """Renders a frame; `shares`, `method` and `why` then tell of it."""
+
+    def warm(self, shot: Source) -> None:
+        """Compiles what the first frame does not need at once; changes nothing else."""
+        del shot  # by default there is nothing
+
+    def ready(self) -> None:
+        """Waits for what `warm` compiles in another thread."""
+        if self.warming is not None:
+            self.warming.result()
+            self.warming = None
 
     def steady(self) -> dict[str, list[float]]:
         """Returns the times of each stage without its first, which compiled it."""
@@ -248,6 +262,17 @@ class _Adaptive(Runner):
         self.shadow_rays = 0
         self.output: pipeline.FrameOutput | None = None
 
+    def warm(self, shot: Source) -> None:
+        if self.samples and not isinstance(shot, Capture):
+            world = shot.world
+            raytrace.raytrace(
+                world.scene,
+                pipeline.with_cut(shot.inputs(0, self.jitter[0]), False),
+                jnp.zeros(shot.size, jnp.bool_),
+                tracer=world.tracer,
+                config=self.config.raytrace,
+            )
+
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         phase = (frame - self.first) % len(self.jitter)
         drawn, inputs, ms = drawer.draw(
@@ -255,6 +280,7 @@ class _Adaptive(Runner):
         )
         self.record("raster", ms)
         shot = drawer.shot
+        self.ready()
         clock = time.perf_counter()
 
         def observe(stage: str, buffers: Any) -> Any:
@@ -308,6 +334,16 @@ class _Supersampled(Runner):
         self.offsets = sampling.pattern(samples)
         self.average: colors.Average = average
 
+    def warm(self, shot: Source) -> None:
+        if not isinstance(shot, Capture):
+            reference.supersample(
+                shot.world,
+                shot.inputs(0),
+                self.offsets[:1],
+                shot.size,
+                average=self.average,
+            )
+
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         shot = drawer.shot
         count = len(self.offsets)
@@ -321,6 +357,7 @@ class _Supersampled(Runner):
                 )
             return np.asarray(colors.display(jnp.asarray(image)))
         inputs = shot.inputs(frame)
+        self.ready()
         start = time.perf_counter()
         out = reference.supersample(
             shot.world, inputs, self.offsets, shot.size, average=self.average
@@ -339,6 +376,21 @@ def runner(name: str, shot: Source, options: Options) -> Runner:
     kind, _, _ = name.partition("_")
     samples = int(kind.removeprefix("ataa")) if kind.startswith("ataa") else None
     return _Adaptive(name, shot, options, preset=preset_of(name), samples=samples)
+
+
+@contextmanager
+def warming(runners: Iterable[Runner], shot: Source) -> Iterator[None]:
+    """Compiles in another thread what the runners will need, while they begin.
+
+    XLA compiles a program mostly on one core; the frames on the way here take another.
+    """
+    pool = ThreadPoolExecutor(1, thread_name_prefix="warm")
+    try:
+        for each in runners:
+            each.warming = pool.submit(each.warm, shot)
+        yield
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def preset_of(method: str) -> str:

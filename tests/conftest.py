@@ -8,7 +8,6 @@ import tempfile
 os.environ["JAX_PLATFORMS"] = "cpu"
 
 # What one worker or process compiled, the others load: a folder for this run alone.
-# (Programs that call Embree hold an address of their process and are never kept.)
 os.environ["ATAA_TESTS_PROGRAMS"] = os.environ.get(
     "ATAA_TESTS_PROGRAMS"
 ) or tempfile.mkdtemp(prefix="ataa-tests-")

@@ -18,7 +18,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from ataa_jax import capture_commands
+from ataa_jax import capture_commands, errors, programs
 from ataa_jax.cli import fit_commands, given, terminal
 from ataa_jax.errors import InputError
 
@@ -384,6 +384,7 @@ def main(arguments: list[str] | None = None) -> int:
     """
     words = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     code, message = FAILED, ""
+    programs.keep()
     try:
         result = app(args=words, prog_name="ataa", standalone_mode=False)
         code = result if isinstance(result, int) else 0
@@ -400,6 +401,8 @@ def main(arguments: list[str] | None = None) -> int:
         # typer's own usage errors; which class, depends on its version.
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):
             code, message = BAD_INPUT, error.format_message()  # type: ignore[attr-defined]
+        elif errors.INTERRUPTED in str(error):  # Ctrl-C while rays were traced
+            code, message = INTERRUPTED, "interrupted"
         else:
             message = (
                 f"unexpected {type(error).__name__}: {error}; --traceback shows where"

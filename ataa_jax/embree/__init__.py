@@ -22,7 +22,7 @@ about 6 ns a miss. `occluded` does not: it would double the cost of every lit po
 """
 
 import ctypes
-import functools
+import hashlib
 import weakref
 from typing import NamedTuple
 
@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import cache, errors, types
+from ataa_jax import cache, errors, hostcall, types
 from ataa_jax.embree import library, masks
 from ataa_jax.embree.fallback import RunBackend
 from ataa_jax.embree.packets import PacketBackend
@@ -71,6 +71,7 @@ class Tracer:
     Attributes:
         group_count: Rigid groups it knows; `world_from_group` has at least as many.
         backend: ``packet`` or ``run``.
+        key: 63 bits of a hash of what it was built from, by which programs name it.
         clear: Traces the surfaces that something shows through, which this tracer
             does not have; None where the scene has none.
     """
@@ -80,10 +81,12 @@ class Tracer:
         backend: str,
         group_count: int,
         way: PacketBackend | RunBackend,
+        key: int,
         clear: "Tracer | None" = None,
     ) -> None:
         self.backend = backend
         self.group_count = group_count
+        self.key = key
         self.clear = clear
         self._way = way
 
@@ -176,31 +179,39 @@ def build(
         )
     _check_ids(scene)
     parts = (scene.geometry, scene.materials, scene.textures)
-    key = (cache.content_hash(parts), clib is not None, device_config)
-    if (found := _living.get(key)) is not None:
+    content = f"{cache.content_hash(parts)} {clib is not None} {device_config}"
+    if (found := _living.get(_key(content))) is not None:
         return found
-    _living[key] = made = _build(scene, clib, device_config)
-    return made
+    return _build(scene, clib, device_config, content)
 
 
-# Tracers by what they were built from, as long as someone holds them.
-_living: weakref.WeakValueDictionary[tuple[str, bool, str], Tracer] = (
-    weakref.WeakValueDictionary()
-)
+# Tracers by their keys, as long as someone holds them.
+_living: weakref.WeakValueDictionary[int, Tracer] = weakref.WeakValueDictionary()
 
 
-def _build(scene: types.Scene, clib: ctypes.CDLL | None, device_config: str) -> Tracer:
-    def tracer(split: masks.Split, clear: Tracer | None = None) -> Tracer:
-        count = len(split.opaque)
+def _key(content: str) -> int:
+    digest = hashlib.blake2b(content.encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "big") >> 1
+
+
+def _build(
+    scene: types.Scene, clib: ctypes.CDLL | None, device_config: str, content: str
+) -> Tracer:
+    def tracer(split: masks.Split, content: str, clear: Tracer | None = None) -> Tracer:
+        key, count = _key(content), len(split.opaque)
         if clib is None:
-            return Tracer("run", count, RunBackend(scene, split), clear)
-        way = PacketBackend(clib, scene, split, device_config)
-        return Tracer("packet", count, way, clear)
+            made = Tracer("run", count, RunBackend(scene, split), key, clear)
+        else:
+            way = PacketBackend(clib, scene, split, device_config)
+            made = Tracer("packet", count, way, key, clear)
+        _living[key] = made
+        return made
 
     used = np.unique(np.asarray(scene.geometry.material))
     if not np.any(np.asarray(scene.materials.blended)[used]):
-        return tracer(masks.split(scene))
-    return tracer(masks.split(scene), tracer(masks.split(scene, blended=True)))
+        return tracer(masks.split(scene), content)
+    clear = tracer(masks.split(scene, blended=True), f"{content} clear")
+    return tracer(masks.split(scene), content, clear)
 
 
 def intersect(
@@ -240,11 +251,11 @@ def intersect(
         jax.ShapeDtypeStruct((count,), jnp.int32),
         jax.ShapeDtypeStruct((count, 2), jnp.float32),
     )
-    distance, triangle, barycentric = jax.pure_callback(
-        functools.partial(_intersect_host, tracer, tile, coherent),
+    distance, triangle, barycentric = hostcall.call(
+        intersect_host,
         shapes,
         *jax.lax.stop_gradient((world_from_group, origin, direction)),
-        vmap_method="sequential",
+        **_numbers(tracer, tile, coherent),
     )
     return types.Hits(distance=distance, triangle=triangle, barycentric=barycentric)
 
@@ -282,27 +293,73 @@ def occluded(
     _check(tracer, world_from_group, origin, direction, tile)
     _check_lengths(origin, distance, active)
     operands = (world_from_group, origin, direction, distance)
-    return jax.pure_callback(
-        functools.partial(_occluded_host, tracer, tile, coherent),
-        jax.ShapeDtypeStruct((origin.shape[0],), jnp.bool_),
+    (answer,) = hostcall.call(
+        occluded_host,
+        (jax.ShapeDtypeStruct((origin.shape[0],), jnp.bool_),),
         *jax.lax.stop_gradient(operands),
         active,
-        vmap_method="sequential",
+        **_numbers(tracer, tile, coherent),
+    )
+    return answer
+
+
+def _numbers(
+    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool
+) -> dict[str, int]:
+    height, width = tile or (0, 0)
+    return {
+        "tracer": tracer.key,
+        "height": height,
+        "width": width,
+        "coherent": int(coherent),
+    }
+
+
+@hostcall.target
+def intersect_host(
+    world_from_group: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    *,
+    tracer: int,
+    height: int,
+    width: int,
+    coherent: int,
+) -> HostHits:
+    """Does `intersect` for the tracer of a key; a tile of height 0 is none."""
+    return _living[tracer].intersect_numpy(
+        world_from_group,
+        origin,
+        direction,
+        tile=(height, width) if height else None,
+        coherent=bool(coherent),
     )
 
 
-def _intersect_host(
-    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool, *operands: object
-) -> HostHits:
-    arrays = (np.asarray(operand) for operand in operands)
-    return tracer.intersect_numpy(*arrays, tile=tile, coherent=coherent)
-
-
-def _occluded_host(
-    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool, *operands: object
-) -> np.ndarray:
-    arrays = (np.asarray(operand) for operand in operands)
-    return tracer.occluded_numpy(*arrays, tile=tile, coherent=coherent)
+@hostcall.target
+def occluded_host(
+    world_from_group: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    distance: np.ndarray,
+    active: np.ndarray,
+    *,
+    tracer: int,
+    height: int,
+    width: int,
+    coherent: int,
+) -> tuple[np.ndarray]:
+    """Does `occluded` for the tracer of a key; a tile of height 0 is none."""
+    blocked = _living[tracer].occluded_numpy(
+        world_from_group,
+        origin,
+        direction,
+        distance,
+        active,
+        tile=(height, width) if height else None,
+        coherent=bool(coherent),
+    )
+    return (blocked,)
 
 
 def _float32(array: np.ndarray) -> np.ndarray:

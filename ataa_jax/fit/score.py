@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ataa_jax import metrics, pipeline
+from ataa_jax import hostcall, metrics, pipeline
 from ataa_jax.errors import InputError
 from ataa_jax.fit import replay, solve, space
 from ataa_jax.fit.replay import Take
@@ -84,7 +84,7 @@ def as_is(
     if threshold is None:
         threshold = float(params.segmentation.threshold)
     return Result(
-        ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
+        ssim=_mean_ssim(played.image[take.lead_in :], _truth(take)),
         rays=rays(take, played),
         threshold=threshold,
     )
@@ -95,7 +95,7 @@ def chosen(take: Take, params: pipeline.Params, choose: replay.Chooser, extra: o
     """Scores another chooser of pixels."""
     played = replay.play(take.frames, params, extra, config=take.config, choose=choose)
     return Result(
-        ssim=float(np.mean(_ssim(played.image[take.lead_in :], _truth(take)))),
+        ssim=_mean_ssim(played.image[take.lead_in :], _truth(take)),
         rays=rays(take, played),
         threshold=float("nan"),
     )
@@ -112,10 +112,15 @@ def rays(take: Take, played: replay.Played) -> float:
     return float(traced.mean()) * take.samples / pixels
 
 
-def _ssim(images: np.ndarray | Array, truths: np.ndarray | Array) -> np.ndarray:
-    """NumPy only: it runs inside callbacks."""
-    pairs = zip(np.asarray(images), np.asarray(truths), strict=True)
-    return np.array([metrics.ssim(a, b) for a, b in pairs], np.float32)
+def _mean_ssim(images: Array, truths: Array) -> float:
+    return float(np.mean(ssim(np.asarray(images), np.asarray(truths))[0]))
+
+
+@hostcall.target
+def ssim(images: np.ndarray, truths: np.ndarray) -> tuple[np.ndarray]:
+    """Returns each image's SSIM, float32; NumPy only, for `hostcall`."""
+    pairs = zip(images, truths, strict=True)
+    return (np.array([metrics.ssim(a, b) for a, b in pairs], np.float32),)
 
 
 def traced_at_budget(
@@ -125,13 +130,8 @@ def traced_at_budget(
     solved = _solved(take, params, budget)
     at = space.with_threshold(params, solved.threshold, take.config.segmentation)
     images = _played(take, at).image[take.lead_in :]
-    each = jax.pure_callback(
-        _ssim,
-        jax.ShapeDtypeStruct((images.shape[0],), jnp.float32),
-        images,
-        _truth(take),
-        vmap_method="sequential",
-    )
+    shape = jax.ShapeDtypeStruct((images.shape[0],), jnp.float32)
+    (each,) = hostcall.call(ssim, (shape,), images, _truth(take))
     return jnp.mean(each)
 
 

@@ -1,0 +1,63 @@
+"""The cache folder, and JAX's compiled programs in it.
+
+Compiling takes most of a first command's time; a program that is kept serves the next
+process that runs the same code on the same scene, size and effects (see `hostcall` for
+why it can be kept). Imports neither JAX nor NumPy, so that it can come before them.
+"""
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+import platformdirs
+
+# our choice: of some 0.5 MB each, some thousand programs; the oldest go first.
+LIMIT_BYTES = 512 << 20
+
+
+def folder() -> Path:
+    """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
+    return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
+
+
+def keep() -> None:
+    """Has JAX keep programs for the next process; to be called before it is imported.
+
+    What the environment says about JAX's cache already, stays. A folder that cannot be
+    written costs a warning and the time of compiling.
+    """
+    place = folder() / "programs" / _processor()
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(place))
+    # our choice: what compiles faster is not worth a file.
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+    prune(place, LIMIT_BYTES)
+
+
+def _processor() -> str:
+    """Names the instruction set: a program compiled for another could crash."""
+    flags = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        flags += next((x for x in lines if x.startswith(("flags", "Features"))), "")
+    except OSError:  # not Linux
+        pass
+    digest = hashlib.blake2b(flags.encode(), digest_size=6).hexdigest()
+    return f"{platform.machine()}-{digest}"
+
+
+def prune(place: Path, limit_bytes: int, pattern: str = "*") -> None:
+    """Removes the oldest files of a folder until the rest keeps to a limit."""
+    found = []
+    for file in place.glob(pattern):
+        try:  # another process may remove it too
+            state = file.stat()
+        except OSError:
+            continue
+        found.append((state.st_mtime, state.st_size, file))
+    total = sum(size for _, size, _ in found)
+    for _, size, file in sorted(found):
+        if total <= limit_bytes:
+            return
+        total -= size
+        file.unlink(missing_ok=True)
