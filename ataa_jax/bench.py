@@ -26,7 +26,7 @@ def run(
     world: worlds.World,
     size: tuple[int, int] = (360, 640),
     camera: str | None = None,
-    budget: float = 0.5,
+    budget: float = pipeline.BUDGET,
 ) -> list[Row]:
     """Measures a scene.
 

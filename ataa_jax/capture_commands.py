@@ -63,7 +63,7 @@ def prepare(
     frames = min(options["frames"], total - lead_in)
     capture = capture.after(lead_in)
     budget = options.pop("budget", None)
-    given_budget = 0.5 if budget is None else budget
+    given_budget = pipeline.BUDGET if budget is None else budget
     if not given_budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
     if params is not None:

@@ -64,7 +64,7 @@ class Options:
     # shows steady motion; the first frame, all of it new, is a case of its own.
     lead_in: int = 8
     reference_samples: int = 64
-    budget: float = 0.5  # rays a pixel; the paper's 8x stays under it
+    budget: float = pipeline.BUDGET  # rays a pixel
     average: colors.Average = "tonemap"
     methods: tuple[str, ...] = tuple(METHODS)
     params: pipeline.Params | None = None  # overrides the tuned preset's numbers

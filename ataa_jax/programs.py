@@ -1,4 +1,4 @@
-"""The cache folder, and JAX's compiled programs in it.
+"""The cache folder: what it holds, how it is emptied, and compiled programs in it.
 
 Compiling takes most of a first command's time; a program that is kept serves the next
 process that runs the same code on the same scene, size and effects (see `hostcall` for
@@ -8,9 +8,19 @@ why it can be kept). Imports neither JAX nor NumPy, so that it can come before t
 import hashlib
 import os
 import platform
+import shutil
 from pathlib import Path
 
 import platformdirs
+
+# What the package keeps, each in a folder of its own.
+KINDS = {
+    "programs": "compiled programs",
+    "reference": "supersampled references",
+    "exposure": "brightness of views",
+    "record": "recorded sequences, for fits",
+    "fit": "steps of fits",
+}
 
 # our choice: of some 0.5 MB each, some thousand programs; the oldest go first.
 LIMIT_BYTES = 512 << 20
@@ -19,6 +29,21 @@ LIMIT_BYTES = 512 << 20
 def folder() -> Path:
     """Returns the cache: `ATAA_CACHE`, or the user's cache folder."""
     return Path(os.environ.get("ATAA_CACHE") or platformdirs.user_cache_dir("ataa_jax"))
+
+
+def contents() -> dict[str, tuple[int, int]]:
+    """Returns the number of files and bytes of each of `KINDS`."""
+    found = {}
+    for kind in KINDS:
+        files = [f for f in (folder() / kind).rglob("*") if f.is_file()]
+        found[kind] = (len(files), sum(f.stat().st_size for f in files))
+    return found
+
+
+def clear() -> None:
+    """Removes what the package keeps, and nothing else that may lie in the folder."""
+    for kind in KINDS:
+        shutil.rmtree(folder() / kind, ignore_errors=True)
 
 
 def keep() -> None:

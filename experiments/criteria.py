@@ -1,6 +1,6 @@
 """What each choice of the paper's segmentation is worth: one changed at a time.
 
-A walk of typical motion at 640×360 and at most 0.5 sparse rays a pixel; the share of
+A walk of typical motion at 640×360 and at most 0.48 sparse rays a pixel; the share of
 TAA's 1 − SSIM that ATAA 8x removes, and its error over TAA's on thin features.
 
     python experiments/criteria.py            # writes experiments/results/criteria.csv

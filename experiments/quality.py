@@ -1,10 +1,10 @@
 """Every method on every scene: what the mask and its rays buy.
 
 A walk of typical motion (1 % of the image's width a frame), 12 frames after 8 of
-lead-in, 640×360, 64 reference samples, at most 0.5 sparse rays a pixel. Writes one row
+lead-in, 640×360, 64 reference samples, at most 0.48 sparse rays a pixel. Writes one row
 a scene and method; the full report of each scene goes to ``out/quality``. *thin_share*
-is the share of the pixels that wires, ropes, slats and leaves cross; 0.5 rays a pixel
-pay for 0.0625 of them at 8x.
+is the share of the pixels that wires, ropes, slats and leaves cross; 0.48 rays a pixel
+pay for 0.06 of them at 8x.
 
     python experiments/quality.py             # writes experiments/results/quality.csv
 """

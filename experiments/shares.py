@@ -1,8 +1,8 @@
 """The paper's shares: how much of a frame FXAA and the tracer take.
 
 Typical (1 % of the width a frame) and rapid (10 %) motion with the default parameters,
-8 rays a traced pixel: within the default budget of 0.5 rays a pixel, and the mask's own
-demand without a budget.
+8 rays a traced pixel: within the default budget of 0.48 rays a pixel, and the mask's
+own demand without a budget.
 
     python experiments/shares.py              # writes experiments/results/shares.csv
 """

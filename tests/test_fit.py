@@ -301,7 +301,7 @@ def test_a_fits_file_gives_back_its_numbers_choices_and_provenance(fitted, tmp_p
     assert config == fitted.config
     assert table["fit"]["scene"][0]["content"] == "hash"
     assert table["fit"]["versions"]["optimistix"]
-    assert table["budget"] == loaded.budget == 0.5
+    assert table["budget"] == loaded.budget == OPTIONS.budget
 
 
 def test_unknown_choices_in_a_file_are_refused():

@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from ataa_jax import capture_commands, errors, programs
-from ataa_jax.cli import fit_commands, given, terminal
+from ataa_jax.cli import cache_commands, fit_commands, given, terminal
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -210,6 +210,7 @@ def check(
 
 app.command(name="fit")(fit_commands.fit)
 app.command(name="export")(fit_commands.export)
+app.add_typer(cache_commands.app, name="cache")
 
 
 @app.command()
@@ -226,14 +227,14 @@ def bench(
     place = out or Path("out") / f"{_stem(scene)}-bench"
     with _output(place) as (folder, final):
         from ataa_jax import bench as benchmark
-        from ataa_jax import files
+        from ataa_jax import files, pipeline
 
         with terminal.progress() as report:
             report("loading the scene", 0, 2)
             loaded, _ = _load(scene, camera, None, extent)
             report("measuring", 1, 2)
             rows = benchmark.run(
-                loaded, extent, camera, 0.5 if budget is None else budget
+                loaded, extent, camera, pipeline.BUDGET if budget is None else budget
             )
             rows.append(benchmark.peak_memory(scene))
             if scene == world.BUILTIN:
@@ -332,7 +333,7 @@ def _prepare(
     from ataa_jax import world as worlds
 
     asked = options.pop("budget", None)
-    budget = 0.5 if asked is None else asked
+    budget = pipeline.BUDGET if asked is None else asked
     if not budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
     wish = _wish(options.pop("effects", None))

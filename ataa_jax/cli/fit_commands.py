@@ -43,7 +43,7 @@ _HEADS = ("scene", "TAA", "random", "equal", "fitted", "oracle", "closed", "carr
 
 def fit(
     scene: Scenes,
-    budget: FitBudget = 0.5,
+    budget: FitBudget = 0.48,
     holdout: Held = None,
     size: given.Size = "320x180",
     frames: given.Frames = 12,

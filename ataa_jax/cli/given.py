@@ -60,7 +60,7 @@ Out = Annotated[
 Budget = Annotated[
     float | None,
     typer.Option(
-        help="Sparse rays a pixel of the frame, or inf; 0.5 unless --params says."
+        help="Sparse rays a pixel of the frame, or inf; 0.48 unless --params says."
     ),
 ]
 Effects = Annotated[

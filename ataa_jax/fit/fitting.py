@@ -35,7 +35,7 @@ _NO_GAIN = 1e-5
 class Options:
     """What to fit, and how hard to try."""
 
-    budget: float = 0.5  # rays a pixel
+    budget: float = pipeline.BUDGET  # rays a pixel
     # our choice: the paper's two, and the one that told most on held-out scenes.
     terms: tuple[str, ...] = ("luminance", "depth", "response")
     quantities: tuple[str, ...] = ("segmentation.reset_px", "segmentation.hold")

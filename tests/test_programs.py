@@ -1,0 +1,74 @@
+"""The cache folder and the programs in it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ataa_jax import programs
+from ataa_jax.cli import main
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("ATAA_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def fill(place: Path) -> None:
+    for kind in programs.KINDS:
+        (place / kind).mkdir()
+        (place / kind / "a.npz").write_bytes(bytes(1 << 20))
+    (place / "mine.txt").write_text("not the package's")
+
+
+def test_show_tells_what_is_kept(place, capsys):
+    fill(place)
+    assert main(["cache", "show"]) == 0
+    told = capsys.readouterr().out
+    assert str(place) in told.replace("\n", "")
+    assert told.count("1.0 MB") == len(programs.KINDS)
+
+
+def test_clear_removes_what_the_package_kept_and_nothing_else(place):
+    fill(place)
+    assert main(["cache", "clear"]) == 0
+    assert [f.name for f in place.iterdir()] == ["mine.txt"]
+    assert main(["cache", "clear"]) == 0  # an empty one, too
+
+
+def test_the_oldest_files_go_until_the_rest_keeps_to_the_limit(place):
+    for age, name in enumerate("dcba"):
+        (place / name).write_bytes(bytes(100))
+        os.utime(place / name, (1000 - age, 1000 - age))
+    programs.prune(place, 250)
+    assert sorted(f.name for f in place.iterdir()) == ["c", "d"]
+    programs.prune(place / "missing", 0)
+
+
+SCRIPT = """
+import os
+from ataa_jax import programs
+programs.keep()
+print(os.environ["JAX_COMPILATION_CACHE_DIR"])
+"""
+
+
+@pytest.mark.parametrize("own", [None, "/somewhere/else"])
+def test_jax_keeps_programs_there_unless_told_otherwise(place, own):
+    environment = {
+        k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"
+    }
+    if own is not None:
+        environment["JAX_COMPILATION_CACHE_DIR"] = own
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = run.stdout.strip()
+    assert found == own if own else found.startswith(str(place / "programs"))
