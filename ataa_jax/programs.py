@@ -9,6 +9,7 @@ import hashlib
 import os
 import platform
 import shutil
+import sys
 from pathlib import Path
 
 import platformdirs
@@ -47,15 +48,24 @@ def clear() -> None:
 
 
 def keep() -> None:
-    """Has JAX keep programs for the next process; to be called before it is imported.
+    """Has JAX keep programs for the next process; best called before it is imported.
 
-    What the environment says about JAX's cache already, stays. A folder that cannot be
-    written costs a warning and the time of compiling.
+    What the environment, or who imported JAX, says about its cache already, stays. A
+    folder that cannot be written costs a warning and the time of compiling.
     """
     place = folder() / "programs" / _processor()
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(place))
-    # our choice: what compiles faster is not worth a file.
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+    imported = sys.modules.get("jax")
+    if imported is not None and imported.config.jax_compilation_cache_dir is not None:
+        return
+    for name, value in (
+        ("jax_compilation_cache_dir", str(place)),
+        # our choice: what compiles faster is not worth a file.
+        ("jax_persistent_cache_min_compile_time_secs", 0.3),
+    ):
+        if name.upper() not in os.environ:
+            os.environ[name.upper()] = str(value)
+            if imported is not None:
+                imported.config.update(name, value)
     prune(place, LIMIT_BYTES)
 
 

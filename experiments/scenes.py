@@ -8,8 +8,10 @@ import os
 import sys
 from pathlib import Path
 
-from ataa_jax import paths
+from ataa_jax import paths, programs
 from ataa_jax import world as worlds
+
+programs.keep()  # the next script draws the same scenes
 
 REAL = ("sponza", "modern_house", "dutch_ship", "littlest_tokyo", "cesium_milk_truck")
 

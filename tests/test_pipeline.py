@@ -72,11 +72,7 @@ def source(*, moving: bool = False) -> SceneSource:
 
 @pytest.fixture(scope="module")
 def world():
-    return worlds.prepare(source())
-
-
-@pytest.fixture(scope="module")
-def moving_world():
+    """One world for all tests: each compiles a whole frame."""
     return worlds.prepare(source(moving=True))
 
 
@@ -114,8 +110,8 @@ def test_the_history_stores_exactly_the_composite_and_never_fxaa(world):
         )
 
 
-def test_every_pixel_is_its_methods_colour(moving_world):
-    for output, _ in run(moving_world, frames=5, threshold=0.05):
+def test_every_pixel_is_its_methods_colour(world):
+    for output, _ in run(world, frames=5, threshold=0.05):
         method = methods(output)
         composite = np.asarray(output.composite)
         for code, buffer in (
@@ -129,12 +125,12 @@ def test_every_pixel_is_its_methods_colour(moving_world):
 
 
 def test_statistics_count_what_the_mask_says(world):
-    for output, _ in run(world, frames=4, samples=4):
+    for output, _ in run(world, frames=4):
         method, stats = methods(output), output.statistics
         traced = np.sum(method == types.METHOD_ATAA)
         assert int(stats.fxaa_pixels) == np.sum(method == types.METHOD_FXAA)
         assert int(stats.ataa_pixels) == traced
-        assert int(stats.primary_rays) == 4 * traced
+        assert int(stats.primary_rays) == 8 * traced
 
 
 def test_the_budget_is_kept_and_the_overflow_reported(world):
@@ -161,9 +157,9 @@ def test_a_cut_forgets_everything(world):
     assert np.all(methods(output) == types.METHOD_FXAA)
 
 
-def test_same_inputs_same_bits(moving_world):
-    first = [np.asarray(output.image) for output, _ in run(moving_world, frames=3)]
-    second = [np.asarray(output.image) for output, _ in run(moving_world, frames=3)]
+def test_same_inputs_same_bits(world):
+    first = [np.asarray(output.image) for output, _ in run(world, frames=3)]
+    second = [np.asarray(output.image) for output, _ in run(world, frames=3)]
     np.testing.assert_array_equal(first, second)
 
 
@@ -230,15 +226,15 @@ def test_a_still_unrectified_average_equals_the_mean_of_its_samples(world):
     np.testing.assert_allclose(found, mean, atol=1e-5)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 3)])
+@pytest.mark.parametrize("size", [(1, 1), (7, 3)])
 def test_odd_sizes_stay_finite(world, size):
     for output, _ in run(world, frames=3, size=size):
         assert output.image.shape == (*size, 3)
         assert np.all(np.isfinite(output.image))
 
 
-def test_the_image_is_finite_and_in_range(moving_world):
-    for output, _ in run(moving_world, kind="pan", frames=4, motion=0.1):
+def test_the_image_is_finite_and_in_range(world):
+    for output, _ in run(world, kind="pan", frames=4, motion=0.1):
         image = np.asarray(output.image)
         assert np.all((image >= 0.0) & (image <= 1.0))
 

@@ -49,22 +49,22 @@ def test_the_oldest_files_go_until_the_rest_keeps_to_the_limit(place):
 
 
 SCRIPT = """
-import os
 from ataa_jax import programs
+{before}
 programs.keep()
-print(os.environ["JAX_COMPILATION_CACHE_DIR"])
+import jax
+print(jax.config.jax_compilation_cache_dir)
 """
 
 
 @pytest.mark.parametrize("own", [None, "/somewhere/else"])
-def test_jax_keeps_programs_there_unless_told_otherwise(place, own):
-    environment = {
-        k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"
-    }
+@pytest.mark.parametrize("before", ["", "import jax"])
+def test_jax_keeps_programs_there_unless_told_otherwise(place, own, before):
+    environment = {k: v for k, v in os.environ.items() if "JAX_COMPILATION" not in k}
     if own is not None:
         environment["JAX_COMPILATION_CACHE_DIR"] = own
     run = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
+        [sys.executable, "-c", SCRIPT.format(before=before)],
         env=environment,
         capture_output=True,
         text=True,
