@@ -101,7 +101,8 @@ def _highest(
     No sort: the bits of floats that are at least 0 order like integers, so the cut,
     the largest key that `allowed` candidates reach, is found bit by bit.
     """
-    key = jax.lax.bitcast_convert_type(jnp.maximum(score, 0.0), jnp.int32)
+    # A comparison with NaN is false, so NaN counts as 0 and has a place in the order.
+    key = jax.lax.bitcast_convert_type(jnp.where(score > 0.0, score, 0.0), jnp.int32)
     key = jnp.where(wants, key, -1)
 
     def refine(step: Int[Array, ""] | int, cut: Int[Array, ""]) -> Int[Array, ""]:

@@ -202,7 +202,11 @@ def brdf(material: Material, view: Vec3, light: Vec3) -> Vec3:
     cos_half = jnp.clip(vector.dot(normal, half), 0.0, 1.0)
     cos_hv = jnp.clip(vector.dot(view, half), 0.0, 1.0)
     a2 = material.alpha * material.alpha
-    bend = cos_half * cos_half * (a2 - 1.0) + 1.0
+    # (n·h)² (α² − 1) + 1 with 1 − (n·h)² as |n × h|²: near the peak of a smooth
+    # surface the difference would lose a tenth of its value to cancellation.
+    across = vector.cross(normal, half)
+    bend = vector.dot(across, across) + cos_half * cos_half * a2
+    bend = jnp.where(bend > 0.0, bend, 1.0)  # light and view opposite: no half vector
     distribution = a2 / (jnp.pi * bend * bend)
     visibility = 0.5 / (
         cos_light * jnp.sqrt(cos_view * cos_view * (1.0 - a2) + a2)

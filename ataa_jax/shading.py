@@ -17,6 +17,9 @@ from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Rays, Sc
 from ataa_jax.vector import Vec3
 
 _MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
+# our choice: a shadow ray ends this share of its length before the light, as large as
+# the share of the coordinates by which it leaves its surface (`surface.lifted`).
+_SHORT = 2.0**-16
 
 
 class Mirror(eqx.Module):
@@ -218,21 +221,20 @@ def _direct(
     ) -> tuple[tuple[Vec3, Int[Array, ""]], Int[Array, ""]]:
         total, layer_rays = carry
         shadow_rays = zero
-        toward, distance, irradiance = vector.materialize(
-            _incident(light, surface.position)
-        )
+        toward, irradiance = vector.materialize(_incident(light, surface.position))
         cos_light = vector.dot(material.normal, toward)
         cos_geometric = vector.dot(surface.geometric_normal, toward)
         lit = surface.hit & (cos_light > 0.0) & (cos_geometric > 0.0)
         lit = lit & (vector.largest(irradiance) > 0.0)
         if config.shadows:
             tested = lit & light.casts
+            way, far = _shadow_ray(light, start, toward)
             shadowed = embree.occluded(
                 tracer,
                 world_from_group,
                 start_array,
-                vector.stack(toward),
-                distance,
+                vector.stack(way),
+                far,
                 tested,
                 tile=tile,
             )
@@ -241,7 +243,7 @@ def _direct(
             clear = clear_of(tracer, config)
             if clear is not None:
                 passed, rays = _through_layers(
-                    scene, clear, world_from_group, start, toward, distance,
+                    scene, clear, world_from_group, start, way, far,
                     lit & light.casts, tile, config,
                 )  # fmt: skip
                 irradiance = irradiance * passed
@@ -276,8 +278,8 @@ def _through_layers(
     clear: embree.Tracer,
     world_from_group: Float[Array, "g 3 4"],
     start: Vec3,
-    toward: Vec3,
-    distance: Float[Array, " n"],
+    way: Vec3,
+    far: Float[Array, " n"],
     lit: Bool[Array, " n"],
     tile: tuple[int, int] | None,
     config: Config,
@@ -288,12 +290,27 @@ def _through_layers(
         return transmittance(scene, world_from_group, direction, hits, config=config)
 
     return layers.passed(
-        clear, world_from_group, start, toward, distance, lit, share, tile=tile
+        clear, world_from_group, start, way, far, lit, share, tile=tile
     )
 
 
-def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Float[Array, " n"], Vec3]:
-    """Returns direction to one light, distance to it, and its normal irradiance."""
+def _shadow_ray(
+    light: Lights, start: Vec3, toward: Vec3
+) -> tuple[Vec3, Float[Array, " n"]]:
+    """Returns direction and length, in its units, of the ray from `start` to a light.
+
+    It leads from where it leaves the surface to the light itself and stops short of
+    it: parallel to `toward`, it would end beyond a lamp on a ceiling, in its shadow.
+    """
+    directional = jnp.broadcast_to(light.kind == LIGHT_DIRECTIONAL, start.x.shape)
+    aim = vector.unstack(light.position) - start
+    return vector.select(directional, toward, aim), jnp.where(
+        directional, jnp.inf, jnp.float32(1.0 - _SHORT)
+    )
+
+
+def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Vec3]:
+    """Returns direction to one light, and its normal irradiance."""
     travel = vector.unstack(light.direction)
     offset = vector.unstack(light.position) - point
     toward_point = vector.normalize(offset)
@@ -306,6 +323,5 @@ def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Float[Array, " n"], Vec
     falloff = window / squared * jnp.where(light.kind == LIGHT_SPOT, cone * cone, 1.0)
     directional = light.kind == LIGHT_DIRECTIONAL
     toward = vector.select(directional, -travel, toward_point)
-    distance = jnp.where(directional, jnp.inf, jnp.sqrt(squared))
     strength = jnp.where(directional, 1.0, falloff)
-    return toward, distance, vector.unstack(light.intensity) * strength
+    return toward, vector.unstack(light.intensity) * strength

@@ -8,6 +8,8 @@ the unnormalized normal N = e1 × e2. A point p0 + b1 e1 + b2 e2 of its plane ha
 so the gradients of any interpolated attribute follow without differences of pixels.
 """
 
+from functools import reduce
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -16,7 +18,7 @@ from ataa_jax import vector
 from ataa_jax.types import Geometry, Hits
 from ataa_jax.vector import Vec3
 
-# A ray starts off its surface by this share of the triangle's largest coordinate:
+# A ray starts off its surface by this share of the largest coordinate on the way there:
 # 2^8 ulp, the figure of Wächter and Binder (Ray Tracing Gems, chapter 6), without their
 # absolute term, so that a scene scaled by 2^k casts the same rays.
 _OFFSET = 2.0**-16
@@ -41,7 +43,9 @@ class Surface(eqx.Module):
     uv: Uv
     uv_dx: Uv | None  # change by one pixel to the right
     uv_dy: Uv | None  # change by one pixel down
-    magnitude: Float[Array, " n"]  # largest |coordinate| of the triangle, world
+    # Largest |coordinate| that the position was rounded at, world: of the triangle's
+    # corners and, in a moving group, of its displacement.
+    magnitude: Float[Array, " n"]
     triangle: Int[Array, " n"]  # a valid index also where nothing was hit
     material: Int[Array, " n"]
     object: Int[Array, " n"]
@@ -77,11 +81,14 @@ def interpolate(
     n0, n1, n2 = vector.take3(geometry.normal, triangle)
     u0, v0, u1, v1, u2, v2 = vector.take(geometry.uv, triangle)
     normal = n0 * b0 + n1 * b1 + n2 * b2
+    displacement = jnp.zeros_like(b0)
     if world_from_group.shape[0] > 1:
         group = geometry.group[triangle]
         world = vector.take_affine(world_from_group, group)
         p0, p1, p2 = world.transform(p0), world.transform(p1), world.transform(p2)
         normal = world.rotate_normal(normal)
+        # R p + t may cancel: what is left has the rounding of t.
+        displacement = vector.largest(world.origin)
     p0, p1, p2, normal = vector.materialize((p0, p1, p2, normal))
     e1, e2 = p1 - p0, p2 - p0
     plane = vector.cross(e1, e2)
@@ -101,7 +108,7 @@ def interpolate(
         )
     # dp/du and dp/dv from e = duv · (dp/du, dp/dv); only directions matter here.
     sign = jnp.sign(du1 * dv2 - du2 * dv1)
-    corner = [vector.largest(p) for p in (p0, p1, p2)]
+    largest = [displacement, *(vector.largest(p) for p in (p0, p1, p2))]
     return Surface(
         hit=hit,
         position=p0 + e1 * b1 + e2 * b2,
@@ -112,7 +119,7 @@ def interpolate(
         uv=Uv(u0 + b1 * du1 + b2 * du2, v0 + b1 * dv1 + b2 * dv2),
         uv_dx=uv_dx,
         uv_dy=uv_dy,
-        magnitude=jnp.maximum(jnp.maximum(corner[0], corner[1]), corner[2]),
+        magnitude=reduce(jnp.maximum, largest),
         triangle=triangle,
         material=geometry.material[triangle],
         object=geometry.object[triangle],

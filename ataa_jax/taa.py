@@ -457,7 +457,7 @@ def _one_box(
         first, second = first + difference, second + difference * difference
     count = float(len(others) + 1)
     shift = first / count
-    sigma = jnp.sqrt(jnp.maximum(second / count - shift * shift, 0.0))
+    sigma = vector.root(second / count - shift * shift)
     mean, reach = own + shift, params.variance_gamma * sigma
     return mean - reach, mean, mean + reach
 

@@ -58,7 +58,7 @@ def depth_edge(depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
     lower = n[2][0] + 2.0 * n[2][1] + n[2][2]
     upper = n[0][0] + 2.0 * n[0][1] + n[0][2]
     gradient_x, gradient_y = (right - left) * scale, (lower - upper) * scale
-    return jnp.sqrt(gradient_x * gradient_x + gradient_y * gradient_y) * 0.125
+    return vector.root(gradient_x * gradient_x + gradient_y * gradient_y) * 0.125
 
 
 def normal_edge(normal: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
@@ -126,7 +126,7 @@ def _mean_and_deviation(
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns mean and standard deviation of the 3×3."""
     mean, variance = _mean_and_variance(plane)
-    return mean, jnp.sqrt(variance)
+    return mean, vector.root(variance)
 
 
 def _mean_and_variance(
@@ -164,8 +164,5 @@ def response(
     now, then = (vector.unstack(colors.display(i)) for i in (blended, reprojected))
     x, y, z = now.x - then.x, now.y - then.y, now.z - then.z
     mean = (x * x + y * y + z * z) * (1.0 / 3.0)
-    # The safe-root pattern: both branches have finite gradients.
-    moved = mean > 0.0
-    distance = jnp.where(moved, jnp.sqrt(jnp.where(moved, mean, 1.0)), 0.0)
     _, variance = _mean_and_variance(colors.luma_vec(then))
-    return distance * jax.lax.rsqrt(variance / (contrast * contrast) + 1.0)
+    return vector.root(mean) * jax.lax.rsqrt(variance / (contrast * contrast) + 1.0)

@@ -120,6 +120,8 @@ def level_of_detail(
         (uv_dx.u * width) ** 2 + (uv_dx.v * height) ** 2,
         (uv_dy.u * width) ** 2 + (uv_dy.v * height) ** 2,
     )
+    # The level indexes a table: a comparison with NaN is false, so NaN reads level 0.
+    squared = jnp.where(squared > 0.0, squared, 0.0)
     # 2^±60 keeps log2 finite for degenerate derivatives; the clamp below decides.
     level = 0.5 * jnp.log2(jnp.clip(squared, 2.0**-60, 2.0**60)) + mip_bias
     last = (textures.level_count[texture] - 1).astype(jnp.float32)

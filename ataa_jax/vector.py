@@ -92,6 +92,15 @@ def largest(a: Vec3) -> Float[Array, "..."]:
     return jnp.maximum(jnp.maximum(jnp.abs(a.x), jnp.abs(a.y)), jnp.abs(a.z))
 
 
+def root(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Returns √x, or 0 where x is not positive; its slope is finite everywhere.
+
+    At 0 the slope is 0: the safe-root pattern, both branches have finite gradients.
+    """
+    positive = x > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
 def normalize(a: Vec3) -> Vec3:
     """Returns a unit vector, or zero where the input is zero or not finite.
 

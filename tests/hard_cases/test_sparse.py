@@ -1,0 +1,11 @@
+"""Hard cases: see `cases_sparse`."""
+
+import pytest
+
+from tests.hard_cases import cases_sparse
+from tests.hard_cases.checks import check, parameters
+
+
+@pytest.mark.parametrize("case", parameters(cases_sparse.TOPIC))
+def test_the_measured_value_keeps_its_bound(case):
+    check(case)
