@@ -12,6 +12,7 @@ from ataa_jax.errors import InputError
 if TYPE_CHECKING:
     from ataa_jax import methods
     from ataa_jax.capture import Capture
+    from ataa_jax.capture.check import Report
 
 
 def given(scene: str) -> bool:
@@ -19,6 +20,39 @@ def given(scene: str) -> bool:
     place = Path(scene)
     sequence = place.suffix == ".json" and place.stem.isdecimal()
     return sequence or (bool(scene) and place.is_dir())
+
+
+def believed(scene: str, frames: int, lead_in: int) -> tuple["Report", int]:
+    """Loads a capture, checks it before it is believed, and parts its frames.
+
+    Args:
+        scene: the folder.
+        frames: frames to show, at least 1.
+        lead_in: frames before them, at least 0.
+
+    Returns:
+        The report, with the capture after its lead-in, and the frames to show: those
+        asked for, or what the capture has left.
+
+    Raises:
+        InputError: no capture, or one that contradicts itself.
+    """
+    from ataa_jax import capture as captures
+    from ataa_jax.capture import check
+
+    report = check.check(captures.load(scene))
+    check.refuse(report)
+    total = len(report.capture.frames)
+    # our choice: at most a third of the frames; the first are drawn to no score.
+    lead_in = min(lead_in, (total - 1) // 3)
+    capture = report.capture.after(lead_in)
+    return replace(report, capture=capture), min(frames, total - lead_in)
+
+
+def told(report: "Report") -> list[str]:
+    """Returns what the layout's reader and the checks have to say, in sentences."""
+    found = [f"{f.severity}: {f.sentence}" for f in report.findings]
+    return [*report.capture.notes, *found]
 
 
 def prepare(
@@ -42,9 +76,7 @@ def prepare(
     Raises:
         InputError: no capture, or one that contradicts itself.
     """
-    from ataa_jax import capture as captures
     from ataa_jax import methods, parameters, pipeline
-    from ataa_jax.capture import check
 
     if camera is not None or motion is not None:
         raise InputError(
@@ -54,14 +86,8 @@ def prepare(
         raise InputError(
             "a capture holds the effects that its engine drew; leave out --effects"
         )
-    report = check.check(captures.load(scene))
-    check.refuse(report)
+    report, frames = believed(scene, options["frames"], options.get("lead_in", 0))
     capture = report.capture
-    total = len(capture.frames)
-    # our choice: at most a third of the frames; the first are drawn to no score.
-    lead_in = min(options.get("lead_in", 0), (total - 1) // 3)
-    frames = min(options["frames"], total - lead_in)
-    capture = capture.after(lead_in)
     budget = options.pop("budget", None)
     given_budget = pipeline.BUDGET if budget is None else budget
     if not given_budget >= 0.0:
@@ -78,7 +104,7 @@ def prepare(
             given_budget = float(options["params"].budget)
     options |= {
         "frames": frames,
-        "lead_in": lead_in,
+        "lead_in": capture.first,
         "budget": given_budget,
         "reference_samples": capture.reference_samples or 1,
         "average": capture.conventions.average,
@@ -87,8 +113,7 @@ def prepare(
         options["methods"] = names
     elif "methods" not in options:
         options["methods"] = methods.captured_methods(capture)
-    found = [f"{f.severity}: {f.sentence}" for f in report.findings]
-    notes = [*capture.notes, *found, *_rays(capture, options["methods"])]
+    notes = [*told(report), *_rays(capture, options["methods"])]
     if "center" not in capture.frames[0].layers:
         notes.append("the capture has no sample at the pixel centre: No AA and FXAA "
                      "show its jittered frames")  # fmt: skip

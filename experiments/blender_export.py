@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ataa_jax import world
+from ataa_jax import scene, world
 
 # Blender's world has z up: (x, y, z) becomes (x, −z, y).
 BLENDER_FROM_WORLD = np.array(
@@ -30,11 +30,12 @@ def main() -> None:
     parser.add_argument("--motion", default="typical")
     given = parser.parse_args()
     width, height = (int(part) for part in given.size.split("x"))
-    loaded = world.load(given.scene)
+    source = world.read(given.scene)  # a prepared world keeps no textures of its own
+    loaded = world.prepare(source)
     shot = world.shot(loaded, given.path, (height, width), motion=given.motion)
     arrays: dict[str, Any] = {
         **_meshes(loaded),
-        **_materials(loaded),
+        **_materials(source, loaded.exposure),
         **_light(loaded),
         **_motion(shot, given.frames),
     }
@@ -54,14 +55,13 @@ def _meshes(loaded: world.World) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _materials(loaded: world.World) -> dict[str, np.ndarray]:
-    source = loaded.source
+def _materials(source: scene.SceneSource, exposure: float) -> dict[str, np.ndarray]:
     rows = [
         [
             *m.base_color[:3],
             m.metallic,
             m.roughness,
-            *(loaded.exposure * e for e in m.emissive),
+            *(exposure * e for e in m.emissive),
             m.alpha_cutoff if m.alpha_mode != "OPAQUE" else -1.0,
             m.base_color_texture,
             m.normal_texture,

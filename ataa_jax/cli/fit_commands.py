@@ -1,25 +1,24 @@
 """The command line's part for fits: `ataa fit` and `ataa export`."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from ataa_jax.cli import given, terminal
+from ataa_jax.cli import fit_sources, given, terminal
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax.fit import Fitted, Recording, Standing
+    from ataa_jax.fit import Fitted, Standing
 
 Scenes = Annotated[
     list[str],
     typer.Argument(
         metavar="SCENE…",
         help="What to fit to: files or the word 'builtin', each with a camera path "
-        "after an @ if not a walk, such as sponza.glb@pan.",
+        "after an @ if not a walk, such as sponza.glb@pan; or captures' folders.",
     ),
 ]
 FitBudget = Annotated[
@@ -28,6 +27,20 @@ FitBudget = Annotated[
 Held = Annotated[
     list[str] | None,
     typer.Option("--holdout", metavar="SCENE", help="Scored, not fitted; repeatable."),
+]
+FitSize = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WxH",
+        help="Image size in pixels: 320x180, or that of the captures given.",
+    ),
+]
+FitFrames = Annotated[
+    int, typer.Option(help="Frames to score; of a capture, those that it has.")
+]
+FitReferenceSamples = Annotated[
+    int | None,
+    typer.Option(help="Samples a pixel of a scene's truth; 64 by default."),
 ]
 ResultFile = Annotated[
     Path, typer.Option("--output", "-o", metavar="FILE", help="The parameters, TOML.")
@@ -45,10 +58,10 @@ def fit(
     scene: Scenes,
     budget: FitBudget = 0.48,
     holdout: Held = None,
-    size: given.Size = "320x180",
-    frames: given.Frames = 12,
+    size: FitSize = None,
+    frames: FitFrames = 12,
     lead_in: given.LeadIn = 8,
-    reference_samples: given.ReferenceSamples = 64,
+    reference_samples: FitReferenceSamples = None,
     motion: given.Motion = None,
     terms: Terms = "luminance,depth,response",
     reading: Annotated[str, typer.Option(help="sum or either.")] = "sum",
@@ -61,10 +74,11 @@ def fit(
     traceback: given.Traceback = False,
 ) -> None:
     """Fits the segmentation's weights and threshold to a ray budget."""
-    extent = given.size_of(size)
+    extent = None if size is None else given.size_of(size)
     given.at_least("--frames", frames, 1)
     given.at_least("--lead-in", lead_in, 0)
-    given.at_least("--reference-samples", reference_samples, 1)
+    if reference_samples is not None:
+        given.at_least("--reference-samples", reference_samples, 1)
     given.at_least("--starts", starts, 1)
     given.at_least("--steps", steps, 0)
     for name, value, known in (
@@ -79,7 +93,8 @@ def fit(
     from ataa_jax import fit as fits
 
     fits.check_budget(budget)
-    fits.check_size(extent)
+    if extent is not None:
+        fits.check_size(extent)
     also = ("taa.count_limit", "resolve.traced_count") if taa else ()
     options = fits.Options(
         budget=budget,
@@ -92,20 +107,22 @@ def fit(
         seed=seed,
     )
     fits.check_options(options)
+    asked = fit_sources.Asked(
+        size=extent,
+        motion=motion,
+        frames=frames,
+        lead_in=lead_in,
+        reference_samples=reference_samples,
+    )
     with terminal.progress() as report:
-        done, total = 0, (len(scene) + len(holdout or ())) * (frames + lead_in)
-
-        def step(text: str) -> None:
-            nonlocal done
-            done += 1
-            report(text, done, total)
-
+        texts = (*scene, *(holdout or ()))
+        planned = fit_sources.plan(texts, asked, lambda text: report(text, 0, 1))
+        fits.check_budget(budget, planned.samples)
+        fits.check_size(planned.size)
+        if planned.captures:
+            fits.check_terms(options.terms)
         recorded, hashes = [], {}
-        for text in (*scene, *(holdout or ())):
-            report(f"loading {text}", done, total)
-            made, content = _record(
-                text, motion, extent, (frames, lead_in, reference_samples), step
-            )
+        for made, content in fit_sources.record(planned, report):
             recorded.append(made)
             hashes[made.name] = content
         seen, unseen = recorded[: len(scene)], recorded[len(scene) :]
@@ -115,34 +132,6 @@ def fit(
         )
     fits.write(found, hashes, output)
     _show(found, output)
-
-
-def _record(
-    text: str,
-    motion: str | None,
-    extent: tuple[int, int],
-    counts: tuple[int, int, int],
-    step: Callable[[str], None],
-) -> tuple["Recording", str]:
-    from ataa_jax import fit as fits
-    from ataa_jax import paths
-    from ataa_jax import world as worlds
-
-    scene, _, camera = text.partition("@")
-    source = worlds.read(scene)
-    known = [each.name for each in source.cameras]
-    path = paths.load(camera or "walk", motion, known)
-    world = worlds.prepare(source, camera=path.camera, size=extent)
-    shot = worlds.sequence(world, path, extent)
-    frames, lead_in, samples = counts
-    made = fits.record(
-        shot,
-        frames=frames,
-        lead_in=lead_in,
-        reference_samples=samples,
-        progress=step,
-    )
-    return made, world.content_hash
 
 
 def _show(found: "Fitted", output: Path) -> None:

@@ -1,9 +1,11 @@
 """Segmentation weights and thresholds fitted by optimistix against SSAA references.
 
-`record` renders a sequence once; `fit` closes the loop over it as often as it takes;
-`write` keeps what was found, with its evidence; `export` hands it to an engine.
+`record` renders a sequence once, `record_capture` takes an engine's frames in its
+place; `fit` closes the loop over them as often as it takes; `write` keeps what was
+found, with its evidence; `export` hands it to an engine.
 """
 
+from ataa_jax.fit.captured import check_terms, rays_of, record_capture
 from ataa_jax.fit.fitting import (
     Fitted,
     Options,
@@ -29,9 +31,12 @@ __all__ = [
     "check_budget",
     "check_options",
     "check_size",
+    "check_terms",
     "checkpoints_of",
     "export",
     "fit",
+    "rays_of",
     "record",
+    "record_capture",
     "write",
 ]

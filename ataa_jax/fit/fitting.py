@@ -20,9 +20,9 @@ import numpy as np
 
 from ataa_jax import pipeline, segmentation
 from ataa_jax.errors import InputError
-from ataa_jax.fit import optimize, score, soft, space, yardsticks
+from ataa_jax.fit import captured, optimize, score, soft, space, yardsticks
 from ataa_jax.fit.checkpoint import NOWHERE, Checkpoints
-from ataa_jax.fit.recording import Recording
+from ataa_jax.fit.recording import Captured, Recording
 from ataa_jax.fit.replay import Take
 from ataa_jax.metrics import SSIM_MIN_SIZE
 
@@ -60,6 +60,7 @@ class Standing:
     threshold: float  # theirs, solved for this sequence
     carried: float  # the file untouched: its threshold, and its budget a frame
     carried_rays: float
+    captured: Captured | None = None  # what it is made of, unless it was rendered
 
     @property
     def efficiency(self) -> float:
@@ -93,7 +94,8 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
 
     Raises:
         InputError: no recordings, of different sizes or rays a pixel, too small for
-            SSIM, a reference of another size, or a budget that no mask can spend.
+            SSIM, a reference of another size, a budget that no mask can spend, or
+            terms that captures have no buffers for.
     """
     if not recordings:
         raise InputError("a fit needs at least one scene")
@@ -104,9 +106,8 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
     for each in recordings:
         if each.size != first.size or each.config.raytrace.samples != samples:
             raise InputError(
-                f"recordings of one fit share size and rays a pixel; {each.name} has "
-                f"{each.size[1]}x{each.size[0]} where {first.name} has "
-                f"{first.size[1]}x{first.size[0]}"
+                "recordings of one fit share size and rays a traced pixel; "
+                f"{_extent(each)} where {_extent(first)}"
             )
         shape = tuple(each.frames.truth.shape)
         if shape != tuple(each.frames.color.shape):
@@ -114,6 +115,14 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
                 f"the reference of {each.name} is of shape {shape}, its frames of "
                 f"{tuple(each.frames.color.shape)}; render it at the same size"
             )
+    if any(each.captured for each in recordings):
+        captured.check_terms(options.terms)
+
+
+def _extent(recording: Recording) -> str:
+    height, width = recording.size
+    rays = recording.config.raytrace.samples
+    return f"{recording.name} has {width}x{height} and {rays} rays"
 
 
 def check_size(size: tuple[int, int]) -> None:
@@ -124,8 +133,8 @@ def check_size(size: tuple[int, int]) -> None:
     """
     if min(size) < SSIM_MIN_SIZE:
         raise InputError(
-            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give a larger --size "
-            f"than {size[1]}x{size[0]}"
+            f"SSIM needs at least {SSIM_MIN_SIZE} pixels a side; give larger images "
+            f"than {size[1]}x{size[0]}, by --size where they are rendered"
         )
 
 
@@ -170,7 +179,9 @@ def fit(
     quantities = (*space.weights(options.terms), *space.named(options.quantities))
     takes = tuple(Take.of(each) for each in recordings)
     on = tuple(take.under(config) for take in takes)
-    notes, params, evaluations = [], start, (0, 0)
+    all_given = (*recordings, *held_out)
+    notes = captured.notes(all_given)
+    params, evaluations = start, (0, 0)
 
     progress("yardsticks", 0, 1)
     bases = [_yardsticks(take, start, options) for take in takes]
@@ -193,14 +204,13 @@ def fit(
     params = space.with_threshold(params, jnp.float32(lowest), config)
     params = pipeline.with_budget(params, options.budget)
     unseen = [Take.of(each) for each in held_out]
-    names = [each.name for each in (*recordings, *held_out)]
     bases += [_yardsticks(take, start, options) for take in unseen]
     on += tuple(take.under(config) for take in unseen)
     own += [score.at_budget(take, params, options.budget) for take in on[len(own) :]]
     standings = []
-    for name, base, take, solved in zip(names, bases, on, own, strict=True):
-        standings.append(_standing(name, base, take, params, solved))
-        progress(f"scores on {name}", len(standings), len(names))
+    for each, base, take, solved in zip(all_given, bases, on, own, strict=True):
+        standings.append(_standing(each, base, take, params, solved))
+        progress(f"scores on {each.name}", len(standings), len(all_given))
     return Fitted(
         params=params,
         config=config,
@@ -268,7 +278,7 @@ def _yardsticks(
 
 
 def _standing(
-    name: str,
+    recording: Recording,
     base: dict[str, float],
     take: Take,
     params: pipeline.Params,
@@ -276,13 +286,14 @@ def _standing(
 ) -> Standing:
     untouched = score.as_is(take, params, capped=True)
     return Standing(
-        scene=name,
+        scene=recording.name,
         **base,
         fitted=own.ssim,
         rays=own.rays,
         threshold=own.threshold,
         carried=untouched.ssim,
         carried_rays=untouched.rays,
+        captured=recording.captured,
     )
 
 
@@ -294,7 +305,7 @@ def checkpoints_of(
     for each in recordings:
         for leaf in jax.tree.leaves((each.frames, each.params)):
             digest.update(np.ascontiguousarray(leaf).view(np.uint8).data)
-        digest.update(str(each.lead_in).encode())
+        digest.update(f"{each.lead_in} {each.config.raytrace.samples}".encode())
     key = f"{digest.hexdigest()} {options} {versions()}"
     return Checkpoints(folder=folder, key=key)
 

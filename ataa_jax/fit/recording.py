@@ -48,6 +48,18 @@ class Recorded(eqx.Module):
     cut: Bool[Array, ""]
 
 
+@dataclass(frozen=True)
+class Captured:
+    """What a recording of an engine's frames is made of; see `captured`."""
+
+    layout: str  # plain, nss or blender
+    traced: str  # the image in the place of rays: samples8, samples4, … or reference
+    reference_samples: int  # of the truth, a pixel; 0: nobody says
+    frames: int  # that are scored
+    lead_in: int
+    notes: tuple[str, ...]  # of the capture, and what stood in for rays
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A sequence: its first `lead_in` frames warm the history and are not scored."""
@@ -57,6 +69,7 @@ class Recording:
     lead_in: int
     config: pipeline.Config
     params: pipeline.Params  # the preset's, but the paper's criteria: fits start there
+    captured: Captured | None = None  # None: rendered from a scene
 
     @property
     def size(self) -> tuple[int, int]:

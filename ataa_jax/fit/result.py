@@ -1,8 +1,8 @@
 """A fit's file: parameters that `--params` reads, and where they come from.
 
 Stages' tables hold the numbers, `[choices.segmentation]` the switches they need, and
-`[fit]` the versions, scenes, budget and scores. No time, host or path: the same
-recordings and seed give the same bytes.
+`[fit]` the versions, scenes, budget and scores; of a capture, `capture` says what stood
+in for rays. No time, host or path: the same recordings and seed give the same bytes.
 """
 
 import dataclasses
@@ -52,13 +52,18 @@ def table(fitted: Fitted, scenes: dict[str, str]) -> dict[str, Any]:
 
 
 def _scene(standing: Standing, scenes: dict[str, str]) -> dict[str, Any]:
+    own = dataclasses.asdict(standing)
+    captured = own.pop("captured")
     row: dict[str, Any] = {
         key: value if isinstance(value, str) else round(float(value), _DIGITS)
-        for key, value in dataclasses.asdict(standing).items()
+        for key, value in own.items()
     }
     row["oracle_efficiency"] = round(float(standing.efficiency), 3)
     row["closed"] = round(float(standing.closed), 3)
     row["content"] = scenes.get(standing.scene, "")
+    if captured is not None:
+        del captured["notes"]  # the fit's own notes hold them
+        row["capture"] = captured
     return row
 
 
