@@ -3,8 +3,8 @@
 The cases are those of `tests/hard_cases`: a row that is measured calls the function
 that the test calls; a row that another test holds runs that test.
 
-    python experiments/hard_cases.py           # writes results/hard_cases.csv
-    python experiments/hard_cases.py --long    # the long cases too
+    python experiments/hard_cases.py                   # writes results/hard_cases.csv
+    python experiments/hard_cases.py --only mirror   # these anew, the rest as read
 """
 
 import argparse
@@ -43,6 +43,8 @@ def measured(topic: str, case: Case) -> list[str]:
 
 def run_tests(names: list[str]) -> dict[str, bool]:
     """Runs tests in a process of their own; returns which passed, all parameters."""
+    if not names:
+        return {}
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "--dist", "no"]
@@ -60,49 +62,55 @@ def run_tests(names: list[str]) -> dict[str, bool]:
 
 
 def main() -> None:
-    """Measures every case, prints the table and writes it."""
+    """Measures cases, prints the table and writes it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--long", action="store_true", help="the long cases too")
-    parser.add_argument("--topic", help="of this topic alone")
+    parser.add_argument("--only", nargs="+", help="rows with this in topic or name")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
     options = parser.parse_args()
     # As the tests have it.
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_numpy_dtype_promotion", "strict")
     jax.config.update("jax_numpy_rank_promotion", "raise")
-    topics = [t for t in TOPICS if options.topic in (None, t.name)]
-    elsewhere = [r.test for t in topics for r in t.rows if isinstance(r, Covered)]
-    passed = run_tests(elsewhere)
+    rows = [(topic.name, row) for topic in TOPICS for row in topic.rows]
+    chosen = [
+        options.only is None
+        or any(text in f"{topic}: {row.name}" for text in options.only)
+        for topic, row in rows
+    ]
+    file = options.out / "hard_cases.csv"
+    kept = read(file) if options.only else {}
+    # All in one process, beforehand: they share compiled programs.
+    passed = run_tests(
+        [row.test for (_, row), now in zip(rows, chosen, strict=True)
+         if now and isinstance(row, Covered)]
+    )  # fmt: skip
     table = []
-    for topic in topics:
-        for row in topic.rows:
-            if isinstance(row, Covered):
-                verdict = "holds" if passed.get(row.test) else "fails"
-                cells = [
-                    topic.name,
-                    row.name,
-                    row.danger,
-                    row.test,
-                    "",
-                    "",
-                    verdict,
-                    "",
-                ]
-            elif row.hard and not options.long:
-                continue
-            else:
-                cells = measured(topic.name, row)
-            table.append(cells)
-            print(" | ".join(cells[:2] + cells[4:7]), flush=True)
+    for (topic, row), now in zip(rows, chosen, strict=True):
+        if not now:
+            table += [kept[row.name]] if row.name in kept else []
+            continue
+        if isinstance(row, Covered):
+            verdict = "holds" if passed.get(row.test) else "fails"
+            cells = [topic, row.name, row.danger, row.test, "", "", verdict, ""]
+        else:
+            cells = measured(topic, row)
+        table.append(cells)
+        print(" | ".join(cells[:2] + cells[4:7]), flush=True)
     held = sum(row[6] == "holds" for row in table)
-    print(f"{held} of {len(table)} cases hold")
-    if options.topic:
-        return
+    print(f"{held} of {len(table)} rows hold")
     options.out.mkdir(exist_ok=True)
-    with (options.out / "hard_cases.csv").open("w", newline="") as stream:
+    with file.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows(table)
+
+
+def read(file: Path) -> dict[str, list[str]]:
+    """Returns the rows of an earlier table by their case."""
+    if not file.is_file():
+        return {}
+    with file.open(newline="") as stream:
+        return {row[1]: row for row in csv.reader(stream)}
 
 
 if __name__ == "__main__":

@@ -140,6 +140,18 @@ def failures() -> str:
     return markdown(head, rows)
 
 
+def hard() -> str:
+    """Hard cases by topic."""
+    table = read("hard_cases.csv")
+    rows = []
+    for topic in dict.fromkeys(row["topic"] for row in table):
+        own = [row for row in table if row["topic"] == topic]
+        held = sum(row["verdict"] == "holds" for row in own)
+        rows.append([topic, str(len(own)), str(held)])
+    rows.append(["*all*", *(str(sum(int(row[k]) for row in rows)) for k in (1, 2))])
+    return markdown(["hard cases", "rows", "hold"], rows)
+
+
 def fit() -> str:
     """Weights fitted to five scenes, on the sixth."""
     rows = [
@@ -167,6 +179,7 @@ def main() -> None:
         ("still", still()),
         ("failures", failures()),
         ("fit", fit()),
+        ("hard", hard()),
     ):
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.escape(begin) + ".*?" + re.escape(end)

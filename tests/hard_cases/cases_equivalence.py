@@ -132,10 +132,10 @@ def batched_parameters() -> float:
     "TAA in float32 stays by TAA in float64 over 16 frames",
     danger="rounding that feeds on itself through the history",
     quantity="largest difference, tone-mapped",
-    bound=2e-5,
-    # One frame errs by 2e-6 (position near 10 px: a step of 1e-6, times texels'
-    # contrast, through Catmull-Rom's weights); a = 0.3 forgets: a sum of 1/0.3.
-    reason="one frame's 2e-6, summed by 1/a = 3.3, and three times that for the clip",
+    # A position below 10 px is rounded by 2^-21 px at most; in two axes, times the
+    # slope of Catmull-Rom's weights, 1.5 of a contrast of 1, summed by 1/a = 1/0.3.
+    bound=2 * 1.5 * 2.0**-21 / 0.3,
+    reason="a position's 2⁻²¹ px in two axes, times a filter's slope of 1.5, over a",
 )
 def against_float64() -> float:
     config, params = taa.PRESETS["tuned"]

@@ -13,6 +13,7 @@ from tests.hard_cases import random_scenes, studio
 from tests.hard_cases.case import Topic
 from tests.hard_cases.random_scenes import Knobs
 from tests.hard_cases.studio import apart, walk
+from tests.oracles import intersect as oracle
 
 TOPIC = Topic("whole frames")
 
@@ -218,6 +219,69 @@ def dark_lights() -> float:
     )
     rays = int(jnp.sum(one.statistics.raster_rays.shadow))
     return float(rays + np.sum(np.asarray(one.raw != two.raw)))
+
+
+BALL = slice(14, 104)  # the yard's triangles: floor, crate, ball, fence
+
+
+@TOPIC.case(
+    "a smooth ball is lit up to its facets' terminator and no further",
+    danger="interpolated normals that face the light on facets that do not, and the "
+    "other way; shadow rays along the surface",
+    quantity="pixels lit on facets turned away, or dark where facet and normal face "
+    "the light, 8 lights",
+    bound=0,
+    reason="the ball is convex and alone: it casts no shadow on what faces the light",
+)
+def terminator() -> float:
+    yard = studio.yard().scene
+    geometry, rng = yard.geometry, np.random.default_rng(8)
+    alone = np.zeros_like(np.asarray(geometry.position))  # the others have no area
+    alone[BALL] = np.asarray(geometry.position)[BALL]
+    dark = replace(
+        yard,
+        geometry=replace(geometry, position=jnp.asarray(alone)),
+        sky=replace(yard.sky, visibility=jnp.float32(0.0), bounce=jnp.zeros(3)),
+    )
+    eye, target = np.array([2.4, 1.2, 1.3]), np.array([1.5, 0.8, -0.8])
+    pose = cameras.make(cameras.look_at(eye, target), 0.9)
+    inputs = replace(walk(1)[0], camera=pose, previous_camera=pose, jitter=jnp.zeros(2))
+    wrong = 0
+    for _ in range(8):
+        toward = rng.normal(size=3)
+        toward /= np.linalg.norm(toward)
+        lights = replace(
+            yard.lights,
+            kind=jnp.zeros(3, jnp.int32),
+            direction=jnp.asarray(np.tile(-toward, (3, 1)), jnp.float32),
+            intensity=jnp.asarray(np.float32([[3] * 3, [0] * 3, [0] * 3])),
+        )
+        output = studio.run(replace(dark, lights=lights), [inputs])[0]
+        facet, hit = _facets(output, alone)
+        lit = np.asarray(output.raw).max(axis=-1) > 0.0
+        on_facet = facet @ toward
+        on_normal = np.asarray(output.gbuffer.normal, np.float64) @ toward
+        wrong += int(np.sum(hit & lit & (on_facet < -1e-5)))
+        wrong += int(np.sum(hit & ~lit & (on_facet > 1e-5) & (on_normal > 1e-5)))
+    return float(wrong)
+
+
+def _facets(output: pipeline.FrameOutput, position: np.ndarray):
+    """The facets' own outward normals at each pixel, and which pixels show one."""
+    h, w = studio.SIZE
+    y, x = np.indices(studio.SIZE) + 0.5
+    eye, target = np.array([2.4, 1.2, 1.3]), np.array([1.5, 0.8, -0.8])
+    pose, step = cameras.look_at(eye, target), 2.0 * np.tan(0.45) / h
+    view = np.stack([(x - w / 2) * step, (h / 2 - y) * step, -np.ones_like(x)], -1)
+    direction = (view @ pose[:3, :3].T).reshape(-1, 3)
+    origin = np.broadcast_to(eye, direction.shape)
+    _, triangle, _ = oracle.nearest(position[BALL], origin, direction)
+    normal = tiny.flat_normal(position[BALL].astype(np.float64))
+    outward = np.sum(normal * (position[BALL].mean(axis=1) - target), axis=1) > 0
+    normal = np.where(outward[:, None], normal, -normal)
+    hit = (triangle >= 0).reshape(studio.SIZE)
+    hit &= np.isfinite(np.asarray(output.gbuffer.depth))
+    return normal[triangle].reshape(h, w, 3), hit
 
 
 def _room(clearance: float, intensity: float) -> types.Scene:

@@ -39,7 +39,7 @@ def test_any_small_scene_keeps_every_promise_of_a_frame(knobs):
 
 
 @pytest.mark.hard
-@hypothesis.settings(max_examples=500)
+@hypothesis.settings(max_examples=200)
 @hypothesis.given(KNOBS)
 def test_any_small_scene_keeps_every_promise_with_all_effects_compiled(knobs):
     assert cases_frames.broken(knobs, full=True) == {}
