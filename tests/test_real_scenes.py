@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ataa_jax import embree, lighting, pipeline, types
+from ataa_jax import embree, lighting, pipeline, sampling, types
 from ataa_jax import world as worlds
 from tests.scenes import scene_path
 
@@ -30,11 +30,12 @@ def test_a_real_scene_renders_through_every_stage(name):
     world = load(name)
     shot = worlds.shot(world, "walk", SIZE)
     config, params = pipeline.preset("tuned", world.scene, SIZE)
+    jitter = sampling.halton_jitter(config.taa.jitter_length)
     state = pipeline.init(SIZE)
     images = []
     for index in range(3):
         output, state = pipeline.stages(
-            state, shot.inputs(index), params,
+            state, shot.inputs(index, jitter[index]), params,
             scene=world.scene, tracer=world.tracer, config=config,
         )  # fmt: skip
         image = np.asarray(output.image)
@@ -44,7 +45,8 @@ def test_a_real_scene_renders_through_every_stage(name):
     assert 0.15 < np.mean(images[-1]) < 0.85
     assert np.std(images[-1]) > 0.05
     assert int(output.statistics.primary_rays) <= 0.5 * SIZE[0] * SIZE[1]
-    assert np.isfinite(np.asarray(output.gbuffer.depth)).mean() > 0.1
+    # The ship's sails and ropes cover a tenth of its frame, the other scenes more.
+    assert np.isfinite(np.asarray(output.gbuffer.depth)).mean() > 0.05
 
 
 @pytest.mark.parametrize("name", ["sponza", "littlest_tokyo"])
