@@ -204,7 +204,8 @@ def test_parameters_do_not_retrace(world):
     assert pipeline.frame._cache_size() == before
 
 
-def test_a_still_unrectified_average_equals_the_mean_of_its_samples(world):
+def test_a_still_unrectified_average_equals_the_mean_of_its_samples():
+    world = worlds.prepare(source())  # in which nothing moves
     # Still camera, raster at mip 0, no rectification, weight 1/(n + 1), bilinear:
     # the history is the running mean of the jittered frames, in the averaging space.
     config, params = pipeline.preset("tuned", world.scene, SIZE)

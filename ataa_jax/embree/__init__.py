@@ -62,6 +62,10 @@ class HostHits(NamedTuple):
     barycentric: np.ndarray  # float32 (n, 2), weights of corners 1 and 2
 
 
+# Tracers by their keys, as long as someone holds them.
+_living: "weakref.WeakValueDictionary[int, Tracer]" = weakref.WeakValueDictionary()
+
+
 class Tracer:
     """A scene's geometry inside Embree.
 
@@ -89,6 +93,7 @@ class Tracer:
         self.key = key
         self.clear = clear
         self._way = way
+        _living[key] = self
 
     def __repr__(self) -> str:
         return f"Tracer(backend={self.backend!r}, group_count={self.group_count})"
@@ -185,10 +190,6 @@ def build(
     return _build(scene, clib, device_config, content)
 
 
-# Tracers by their keys, as long as someone holds them.
-_living: weakref.WeakValueDictionary[int, Tracer] = weakref.WeakValueDictionary()
-
-
 def _key(content: str) -> int:
     digest = hashlib.blake2b(content.encode(), digest_size=8).digest()
     return int.from_bytes(digest, "big") >> 1
@@ -200,12 +201,9 @@ def _build(
     def tracer(split: masks.Split, content: str, clear: Tracer | None = None) -> Tracer:
         key, count = _key(content), len(split.opaque)
         if clib is None:
-            made = Tracer("run", count, RunBackend(scene, split), key, clear)
-        else:
-            way = PacketBackend(clib, scene, split, device_config)
-            made = Tracer("packet", count, way, key, clear)
-        _living[key] = made
-        return made
+            return Tracer("run", count, RunBackend(scene, split), key, clear)
+        way = PacketBackend(clib, scene, split, device_config)
+        return Tracer("packet", count, way, key, clear)
 
     used = np.unique(np.asarray(scene.geometry.material))
     if not np.any(np.asarray(scene.materials.blended)[used]):

@@ -30,7 +30,8 @@ def _program(full: bool) -> tuple[embree.Tracer, pipeline.Config, pipeline.Param
     """The stand-in tracer and the preset; full: all maps, mirrors and 8 rays too."""
     scene = yard().scene
     own = embree.build(scene)
-    tracer = embree.Tracer(own.backend, own.group_count, own._way)
+    # A key that no scene's hash has: programs find the tracer by it.
+    tracer = embree.Tracer(own.backend, own.group_count, own._way, key=1 + full)
     shading = replace(
         effects.required(scene),
         emission=True,
