@@ -189,7 +189,7 @@ class Runner(ABC):
             self.warming = None
 
     def steady(self) -> dict[str, list[float]]:
-        """Returns the times of each stage without its first, which compiled it."""
+        """Returns the times of each stage without its first, which may compile."""
         return {stage: times[1:] or times for stage, times in self.times.items()}
 
     def record(self, stage: str, milliseconds: float) -> None:

@@ -1,8 +1,11 @@
 """`ataa fit` and `ataa export`: files out, and clear words for mistakes."""
 
+import inspect
+
 import pytest
 
-from ataa_jax import cli
+from ataa_jax import cli, pipeline
+from ataa_jax.cli import fit_commands, given
 
 
 @pytest.mark.parametrize(
@@ -31,3 +34,10 @@ def test_mistakes_are_one_line_and_nothing_is_written(
     assert captured.err.count("\n") == 1
     assert not list(tmp_path.glob("*.toml"))
     assert not list(tmp_path.glob("*.json"))
+
+
+def test_the_commands_default_budget_is_the_pipelines():
+    # Written out there: the commands' help must not wait for JAX.
+    default = inspect.signature(fit_commands.fit).parameters["budget"].default
+    assert default == pipeline.BUDGET
+    assert f"{pipeline.BUDGET:g} unless" in given.Budget.__metadata__[0].help

@@ -20,7 +20,6 @@ class Case:
     measure: Callable[[], float]
     at_least: bool = False  # the bound is a lower one
     hard: bool = False  # takes long: runs under `pytest -m hard` only
-    fails: str = ""  # why the bound is not kept today
 
     def holds(self, value: float) -> bool:
         """Returns whether a value keeps the bound; NaN never does."""
@@ -53,7 +52,6 @@ class Topic:
         reason: str,
         at_least: bool = False,
         hard: bool = False,
-        fails: str = "",
     ) -> Callable[[Callable[[], float]], Callable[[], float]]:
         """Makes a case of the function that measures it."""
 
@@ -68,7 +66,6 @@ class Topic:
                     measure=measure,
                     at_least=at_least,
                     hard=hard,
-                    fails=fails,
                 )
             )
             return measure
