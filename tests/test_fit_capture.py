@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ataa_jax import capture, cli, color, parameters
+from ataa_jax import capture, cli, color, parameters, pipeline
 from ataa_jax import fit as fits
 from ataa_jax.capture import check
 from ataa_jax.capture.conventions import Conventions
@@ -98,7 +98,7 @@ def test_without_sample_images_the_reference_is_traced_and_the_recording_says_so
 
 def test_a_fit_to_a_capture_spends_the_budget_and_says_what_it_is_of(fitted):
     table = tomllib.loads(fitted.read_text())
-    assert table["budget"] == 0.5
+    assert table["budget"] == pipeline.BUDGET
     (row,), (held,) = table["fit"]["scene"], table["fit"]["held_out"]
     assert row["capture"] == {
         "layout": "plain",
@@ -112,7 +112,7 @@ def test_a_fit_to_a_capture_spends_the_budget_and_says_what_it_is_of(fitted):
     assert held["scene"] == f"{row['scene']} (2)"
     assert {**held, "scene": row["scene"]} == row
     # 5 %: within it budgets count as equal.
-    assert row["rays"] == pytest.approx(0.5, rel=0.05)
+    assert row["rays"] == pytest.approx(pipeline.BUDGET, rel=0.05)
     assert row["oracle"] >= row["fitted"] > row["taa"]
     assert "8-sample images" in table["fit"]["notes"][0]
 
@@ -134,7 +134,7 @@ def test_a_capture_is_run_by_the_file_of_a_fit_to_it(folder, fitted, tmp_path):
     assert ataa("run", folder, *words) == 0
     rows = (out / "statistics.csv").read_text().splitlines()
     assert len(rows) == 3
-    assert float(parameters.read(fitted)["budget"]) == 0.5
+    assert float(parameters.read(fitted)["budget"]) == pipeline.BUDGET
 
 
 def test_captures_of_one_fit_need_a_number_of_samples_in_common(checked):
