@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ataa_jax import texture, vector
 from ataa_jax.scene import MIRROR_ROUGHNESS
 from ataa_jax.surface import Surface
-from ataa_jax.types import Scene
+from ataa_jax.types import Materials, Scene
 from ataa_jax.vector import Vec3
 
 # Perceptual roughness below this makes GGX's peak exceed what float32 and eight
@@ -57,6 +57,41 @@ class Material(eqx.Module):
     transmittance: Vec3 | None
 
 
+class _Row(eqx.Module):
+    """One line of `types.Materials` per element."""
+
+    base_color: Vec3
+    alpha: Float[Array, " n"]
+    emissive: Vec3
+    metallic: Float[Array, " n"]
+    roughness: Float[Array, " n"]
+    normal_scale: Float[Array, " n"]
+    transmission: Float[Array, " n"]
+    mirror: Float[Array, " n"]  # 1: true
+    base_color_texture: Int[Array, " n"]
+    metallic_roughness_texture: Int[Array, " n"]
+    normal_texture: Int[Array, " n"]
+    emissive_texture: Int[Array, " n"]
+
+
+def _rows(table: Materials, material: Int[Array, " n"]) -> _Row:
+    """Gathers the materials in two passes, one a type: every gather is a program."""
+    single = (
+        *(table.metallic, table.roughness, table.normal_scale, table.transmission),
+        table.mirror.astype(jnp.float32),
+    )
+    numbers = [table.base_color, table.emissive, jnp.stack(single, axis=1)]
+    r, g, b, alpha, e_r, e_g, e_b, *rest = vector.take(
+        jnp.concatenate(numbers, axis=1), material
+    )
+    textures = (
+        *(table.base_color_texture, table.metallic_roughness_texture),
+        *(table.normal_texture, table.emissive_texture),
+    )
+    ids = vector.take(jnp.stack(textures, axis=1), material)
+    return _Row(Vec3(r, g, b), alpha, Vec3(e_r, e_g, e_b), *rest, *ids)
+
+
 def evaluate(
     scene: Scene,
     surface: Surface,
@@ -76,12 +111,12 @@ def evaluate(
         config: the effects to compile.
         clear: the points are on transparent surfaces: tell opacity and transmittance.
     """
-    table, material = scene.materials, surface.material
+    row = _rows(scene.materials, surface.material)
 
-    def fetch(texture_of_material: Int[Array, " m"], *, srgb: bool = False) -> Vec3:
+    def fetch(texture_id: Int[Array, " n"], *, srgb: bool = False) -> Vec3:
         return texture.sample(
             scene.textures,
-            texture_of_material[material],
+            texture_id,
             surface.uv,
             surface.uv_dx,
             surface.uv_dy,
@@ -89,46 +124,46 @@ def evaluate(
             srgb=srgb,
         )
 
-    base = Vec3(*vector.take(table.base_color, material)[:3])
+    base = row.base_color
     if config.base_color_textures:
-        base = base * fetch(table.base_color_texture, srgb=True)
-    metallic, roughness = table.metallic[material], table.roughness[material]
+        base = base * fetch(row.base_color_texture, srgb=True)
+    metallic, roughness = row.metallic, row.roughness
     if config.metallic_roughness_textures:
-        packed = fetch(table.metallic_roughness_texture)
+        packed = fetch(row.metallic_roughness_texture)
         roughness, metallic = roughness * packed.y, metallic * packed.z
     normal = surface.normal
     if config.normal_maps:
         normal = _normal_mapped(
             surface,
-            fetch(table.normal_texture),
-            table.normal_scale[material],
-            table.normal_texture[material] >= 0,
+            fetch(row.normal_texture),
+            row.normal_scale,
+            row.normal_texture >= 0,
         )
     emissive = None
     if config.emission:
-        (emissive,) = vector.take3(table.emissive, material)
+        emissive = row.emissive
         if config.emissive_textures:
-            emissive = emissive * fetch(table.emissive_texture, srgb=True)
+            emissive = emissive * fetch(row.emissive_texture, srgb=True)
     mirror = None
     if config.reflections:
         fade = (MIRROR_ROUGHNESS - roughness) * (1.0 / (MIRROR_ROUGHNESS - _FULL))
-        mirror = jnp.where(table.mirror[material], jnp.clip(fade, 0.0, 1.0), 0.0)
+        mirror = jnp.where(row.mirror > 0.0, jnp.clip(fade, 0.0, 1.0), 0.0)
     roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
     metallic = jnp.clip(metallic, 0.0, 1.0)
     diffuse = base * (1.0 - metallic)
     opacity = transmittance = None
     if clear:
-        opacity = table.base_color.reshape(-1)[material * 4 + 3]
+        opacity = row.alpha
         if config.base_color_textures:
             opacity = opacity * texture.sample_alpha(
                 scene.textures,
-                table.base_color_texture[material],
+                row.base_color_texture,
                 surface.uv,
                 surface.uv_dx,
                 surface.uv_dy,
                 mip_bias,
             )
-        share = table.transmission[material]
+        share = row.transmission
         cos_view = jnp.clip(vector.dot(surface.normal, view), 0.0, 1.0)
         passed = share * (1.0 - schlick(0.04, cos_view))
         transmittance = (1.0 - opacity) + diffuse * (opacity * passed)

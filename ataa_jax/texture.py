@@ -75,32 +75,24 @@ def _sample(
     mip_bias: Float[Array, ""] | float,
     shifts: tuple[int, ...],
     srgb: bool,
-) -> list[Float[Array, " n"]]:
+) -> Float[Array, "c n"]:
     """Samples the channels that start at some bits of a texel."""
     safe = jnp.where(texture >= 0, texture, 0)
-    repeat_u = textures.wrap_u[safe] == WRAP_REPEAT
-    repeat_v = textures.wrap_v[safe] == WRAP_REPEAT
-    wrapped = vector.materialize(
-        Uv(
-            _wrap(uv.u, textures.wrap_u[safe]),
-            _wrap(uv.v, textures.wrap_v[safe]),
-        )
-    )
-
-    def level(index: Int[Array, " n"]) -> list[Float[Array, " n"]]:
-        return _bilinear(
-            textures, safe, index, wrapped, (repeat_u, repeat_v), shifts, srgb
-        )
-
+    modes = jnp.stack([textures.wrap_u, textures.wrap_v], axis=1)
+    wrap_u, wrap_v = vector.take(modes, safe)
+    wrapped = vector.materialize(Uv(_wrap(uv.u, wrap_u), _wrap(uv.v, wrap_v)))
+    repeat = wrap_u == WRAP_REPEAT, wrap_v == WRAP_REPEAT
     if uv_dx is None or uv_dy is None:
-        return level(jnp.zeros_like(safe))
+        level = jnp.zeros_like(safe)[None]
+        return _bilinear(textures, safe, level, wrapped, repeat, shifts, srgb)[:, 0]
     detail = level_of_detail(textures, safe, uv_dx, uv_dy, mip_bias)
     low = jnp.floor(detail)
-    fraction = detail - low
-    low, fraction = vector.materialize((low.astype(jnp.int32), fraction))
-    near = level(low)
-    far = level(jnp.minimum(low + 1, textures.level_offset.shape[1] - 1))
-    return [n + (f - n) * fraction for n, f in zip(near, far, strict=True)]
+    low, fraction = vector.materialize((low.astype(jnp.int32), detail - low))
+    above = jnp.arange(2, dtype=jnp.int32)[:, None]
+    level = jnp.minimum(low[None] + above, textures.level_offset.shape[1] - 1)
+    values = _bilinear(textures, safe, level, wrapped, repeat, shifts, srgb)
+    near, far = values[:, 0], values[:, 1]
+    return near + (far - near) * fraction[None]
 
 
 def level_of_detail(
@@ -114,8 +106,10 @@ def level_of_detail(
 
     OpenGL 4.6 specification, equation 8.7 with the exact (Euclidean) scale factor.
     """
-    width = textures.level_width[texture, 0].astype(jnp.float32)
-    height = textures.level_height[texture, 0].astype(jnp.float32)
+    columns = textures.level_width[:, 0], textures.level_height[:, 0]
+    extents = jnp.stack([*columns, textures.level_count], axis=1)
+    width, height, count = vector.take(extents, texture)
+    width, height = width.astype(jnp.float32), height.astype(jnp.float32)
     squared = jnp.maximum(
         (uv_dx.u * width) ** 2 + (uv_dx.v * height) ** 2,
         (uv_dy.u * width) ** 2 + (uv_dy.v * height) ** 2,
@@ -124,7 +118,7 @@ def level_of_detail(
     squared = jnp.where(squared > 0.0, squared, 0.0)
     # 2^±60 keeps log2 finite for degenerate derivatives; the clamp below decides.
     level = 0.5 * jnp.log2(jnp.clip(squared, 2.0**-60, 2.0**60)) + mip_bias
-    last = (textures.level_count[texture] - 1).astype(jnp.float32)
+    last = (count - 1).astype(jnp.float32)
     return jnp.clip(level, 0.0, last)
 
 
@@ -142,47 +136,42 @@ def _wrap(u: Float[Array, " n"], mode: Int[Array, " n"]) -> Float[Array, " n"]:
 def _bilinear(
     textures: Textures,
     texture: Int[Array, " n"],
-    level: Int[Array, " n"],
+    level: Int[Array, "l n"],
     uv: Uv,
     repeat: tuple[Bool[Array, " n"], Bool[Array, " n"]],
     shifts: tuple[int, ...],
     srgb: bool,
-) -> list[Float[Array, " n"]]:
-    """Filters four texels of one level; `uv` is already wrapped into [0, 1].
+) -> Float[Array, "c l n"]:
+    """Filters four texels of each level; `uv` is already wrapped into [0, 1].
 
     Border rule: at the edge the neighbour wraps round under REPEAT and is clamped
     under CLAMP and MIRROR (a mirrored neighbour of the edge is the edge itself).
     """
-    entry = texture * textures.level_offset.shape[1] + level
+    entry = (texture * textures.level_offset.shape[1])[None] + level
+    columns = textures.level_width, textures.level_height, textures.level_offset
+    table = jnp.stack([column.reshape(-1) for column in columns], axis=1)
     width, height, base = (
-        table.reshape(-1).at[entry].get(mode="promise_in_bounds")
-        for table in (
-            textures.level_width,
-            textures.level_height,
-            textures.level_offset,
-        )
+        column.reshape(level.shape) for column in vector.take(table, entry.reshape(-1))
     )
-    x0, x1, fx = _neighbours(uv.u, width, repeat[0])
-    y0, y1, fy = _neighbours(uv.v, height, repeat[1])
-    row0, row1 = base + y0 * width, base + y1 * width
-    indices = (row0 + x0, row0 + x1, row1 + x0, row1 + x1)
-    texels = vector.materialize(
-        [textures.texels.at[i].get(mode="promise_in_bounds") for i in indices]
+    x, fx = vector.materialize(_neighbours(uv.u, width, repeat[0]))
+    y, fy = vector.materialize(_neighbours(uv.v, height, repeat[1]))
+    fx, fy = fx[None], fy[None]
+    index = (base[None] + y * width[None])[:, None] + x[None]
+    texels = vector.materialize(textures.texels.at[index].get(mode="promise_in_bounds"))
+
+    shift = jnp.asarray(shifts, jnp.uint32)[:, None, None]
+    (c00, c01), (c10, c11) = (
+        [_decode(texels[row, column][None] >> shift, srgb) for column in (0, 1)]
+        for row in (0, 1)
     )
-    fx, fy = vector.materialize((fx, fy))
-
-    def channel(shift: int) -> Float[Array, " n"]:
-        c00, c01, c10, c11 = (_decode(texel, shift, srgb) for texel in texels)
-        top = c00 + (c01 - c00) * fx
-        bottom = c10 + (c11 - c10) * fx
-        return top + (bottom - top) * fy
-
-    return vector.materialize([channel(shift) for shift in shifts])
+    top = c00 + (c01 - c00) * fx
+    bottom = c10 + (c11 - c10) * fx
+    return vector.materialize(top + (bottom - top) * fy)
 
 
-def _decode(texel: UInt[Array, " n"], shift: int, srgb: bool) -> Float[Array, " n"]:
-    """Unpacks one 8-bit channel, to [0, 1], linear."""
-    code = (texel >> jnp.uint32(shift)) & jnp.uint32(0xFF)
+def _decode(texel: UInt[Array, "c l n"], srgb: bool) -> Float[Array, "c l n"]:
+    """Takes the lowest 8 bits, to [0, 1], linear."""
+    code = texel & jnp.uint32(0xFF)
     # By way of int32: the CPU has no vector conversion from unsigned.
     x = code.astype(jnp.int32).astype(jnp.float32) * jnp.float32(1.0 / 255.0)
     if not srgb:
@@ -194,15 +183,16 @@ def _decode(texel: UInt[Array, " n"], shift: int, srgb: bool) -> Float[Array, " 
 
 
 def _neighbours(
-    u: Float[Array, " n"], extent: Int[Array, " n"], repeat: Bool[Array, " n"]
-) -> tuple[Int[Array, " n"], Int[Array, " n"], Float[Array, " n"]]:
+    u: Float[Array, " n"], extent: Int[Array, "l n"], repeat: Bool[Array, " n"]
+) -> tuple[Int[Array, "2 l n"], Float[Array, "l n"]]:
     """Returns the two texel indices around u in [0, 1], and the second's weight."""
-    x = u * extent.astype(jnp.float32) - 0.5
+    x = u[None] * extent.astype(jnp.float32) - 0.5
     floor = jnp.floor(x)
-    last = extent - 1
-    # u = 1 gives low = extent − 1 at most; a single wrap either side is enough.
-    low = floor.astype(jnp.int32)
-    high = low + 1
-    low = jnp.where(low < 0, jnp.where(repeat, last, 0), jnp.minimum(low, last))
-    high = jnp.where(high > last, jnp.where(repeat, 0, last), high)
-    return low, high, x - floor
+    low, last = floor.astype(jnp.int32), extent - 1
+    # From −1 to the extent: a single wrap either side is enough.
+    before, after = jnp.where(repeat, last, 0), jnp.where(repeat, 0, last)
+    beside = [
+        jnp.where(index < 0, before, jnp.where(index > last, after, index))
+        for index in (low, low + 1)
+    ]
+    return jnp.stack(beside), x - floor

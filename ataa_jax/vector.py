@@ -147,9 +147,16 @@ def take(
         index: valid indices; they are not checked again.
     """
     width = math.prod(table.shape[1:])
-    flat = table.reshape(-1)
-    first = index * width
-    return [flat.at[first + k].get(mode="promise_in_bounds") for k in range(width)]
+    rows = jax.lax.gather(
+        table.reshape(-1, width),
+        index[:, None],
+        jax.lax.GatherDimensionNumbers(
+            offset_dims=(0,), collapsed_slice_dims=(0,), start_index_map=(0,)
+        ),
+        slice_sizes=(1, width),
+        mode="promise_in_bounds",
+    )
+    return list(materialize(rows))
 
 
 def take3(table: Float[Array, "t ..."], index: Int[Array, " n"]) -> list[Vec3]:
