@@ -153,8 +153,8 @@ def png(image: np.ndarray | Image.Image) -> bytes:
     """Encodes 8-bit RGB, RGBA or grey as PNG, without any metadata."""
     picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
     buffer = io.BytesIO()
-    # Higher levels take three times as long for a hundredth of the size.
-    picture.save(buffer, "PNG", compress_level=6)
+    # Level 6 takes twice as long for 6 % of the size, level 9 eight times.
+    picture.save(buffer, "PNG", compress_level=3)
     return buffer.getvalue()
 
 

@@ -10,6 +10,7 @@ is the pixel and the neighbour across the edge. Positions are in index units, in
 are pixel centres. Border rule of every read: clamp to edge.
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -219,6 +220,14 @@ def _subpixel_shift(
     return smooth * smooth
 
 
+class _Walk(eqx.Module):
+    """Both searches for the ends of an edge, backward and forward."""
+
+    end: Float[Array, "2 n"]  # luma at the last tap, less the pair's mean
+    reached: Float[Array, "2 n"]  # px
+    done: Bool[Array, "2 n"]
+
+
 def _edge_shift(
     luma: Float[Array, "h w"],
     row: Int[Array, " n"],
@@ -242,23 +251,24 @@ def _edge_shift(
     # The two rows (columns) that every tap averages, as the first and second texel.
     across = jnp.where(sign < 0.0, -1, 0)
 
-    def tap(distance: float) -> Array:
-        return _between(
-            luma, row, column, horizontal, across, direction, distance
-        ) - jnp.stack([pair_luma, pair_luma])
+    mean, limit = jnp.stack([pair_luma, pair_luma]), jnp.stack([limit, limit])
 
-    limit = jnp.stack([limit, limit])
-    distance = steps[0]
-    end = tap(distance)
-    reached = jnp.full(end.shape, distance, jnp.float32)
-    done = jnp.abs(end) >= limit
-    for step in steps[1:-1]:
-        distance += step
-        reached = jnp.where(done, reached, distance)
-        end = jnp.where(done, end, tap(distance))
-        done = done | (jnp.abs(end) >= limit)
+    def walk(half: float, walked: _Walk, whole: Int[Array, ""]) -> tuple[_Walk, None]:
+        tap = _between(luma, row, column, horizontal, across, direction, whole, half)
+        end = jnp.where(walked.done, walked.end, tap - mean)
+        distance = whole.astype(jnp.float32) + half
+        reached = jnp.where(walked.done, walked.reached, distance)
+        return _Walk(end, reached, walked.done | (jnp.abs(end) >= limit)), None
+
+    zero = jnp.zeros_like(limit)
+    walked = _Walk(end=zero, reached=zero, done=jnp.zeros(limit.shape, jnp.bool_))
+    distances = list(itertools.accumulate(steps))
+    # A loop for whole distances and one for halves: each step's code is compiled once.
+    for half, group in itertools.groupby(distances[:-1], lambda d: d % 1.0):
+        whole = jnp.asarray([int(d) for d in group], jnp.int32)
+        walked, _ = jax.lax.scan(partial(walk, half), walked, whole)
     # The last step only lengthens the span; nothing is read there.
-    reached = jnp.where(done, reached, distance + steps[-1])
+    end, reached = walked.end, jnp.where(walked.done, walked.reached, distances[-1])
 
     back, forth = reached[0], reached[1]
     nearest_end = jnp.where(back < forth, end[0], end[1])
@@ -274,17 +284,19 @@ def _between(
     horizontal: Bool[Array, " n"],
     across: Int[Array, " n"],
     direction: Int[Array, "2 1"],
-    distance: float,
+    whole: Int[Array, ""],
+    half: float,
 ) -> Float[Array, "2 n"]:
     """Reads luma half-way between two rows (columns), a distance along them each way.
 
-    A bilinear tap whose fractions are known: ½ across, and along 0 or ½.
+    A bilinear tap whose fractions are known: ½ across, and along 0 or ½ (`half`) more
+    than a whole number of texels.
     """
-    columns = sorted({int(distance), int(distance + 0.5)})
+    columns = (0, 1) if half else (0,)
     total = jnp.zeros((2, row.shape[0]), jnp.float32)
     for side in (0, 1):
         for step in columns:
-            along, sideways = direction * step, (across + side)[None, :]
+            along, sideways = direction * (whole + step), (across + side)[None, :]
             r = row[None, :] + jnp.where(horizontal[None, :], sideways, along)
             c = column[None, :] + jnp.where(horizontal[None, :], along, sideways)
             total = total + _texel(luma, r, c)

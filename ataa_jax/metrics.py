@@ -112,6 +112,8 @@ def flip(image: np.ndarray, reference: np.ndarray) -> float:
     """Returns the mean LDR-FLIP error, NaN where `flip-evaluator` is not installed."""
     if not flip_available():
         return float("nan")
+    if image is reference:
+        return 0.0
     import flip_evaluator
 
     _, mean, _ = flip_evaluator.evaluate(

@@ -10,7 +10,9 @@ mask/METHOD/         masks over the greyscale frames; why/METHOD/: the reasons
 timings.csv          the one file that is not a function of the input
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ataa_jax import files
@@ -66,14 +68,19 @@ def write(
 
 
 def write_frames(comparison: Comparison, folder: Path) -> None:
-    """Writes every frame, mask and picture of reasons as PNG."""
-    for method, images in comparison.images.items():
-        for index, image in enumerate(images):
-            files.write_png(folder / "frames" / method / f"{index:04d}.png", image)
-    for method, masks in comparison.masks.items():
-        for index, mask in enumerate(masks):
-            image = comparison.images[method][index]
-            name = f"{method}/{index:04d}.png"
+    """Writes every frame, mask and picture of reasons as PNG, on all cores."""
+
+    def write(method: str, index: int) -> None:
+        image, name = comparison.images[method][index], f"{method}/{index:04d}.png"
+        files.write_png(folder / "frames" / name, image)
+        if method in comparison.masks:
+            mask, why = comparison.masks[method][index], comparison.whys[method][index]
             files.write_png(folder / "mask" / name, mask_overlay(image, mask))
-            why = comparison.whys[method][index]
             files.write_png(folder / "why" / name, why_overlay(image, why))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        sizes = {method: len(images) for method, images in comparison.images.items()}
+        every = [
+            (method, index) for method, size in sizes.items() for index in range(size)
+        ]
+        list(pool.map(lambda frame: write(*frame), every))
