@@ -208,13 +208,15 @@ def _normal_mapped(
 
 
 def reflection(material: Material, view: Vec3) -> tuple[Vec3, Vec3]:
-    """Returns the mirrored view, unit, and the reflectance of a uniform environment.
+    """Returns the mirrored view and the reflectance of a uniform environment.
 
-    Karis's fit of the environment BRDF ("Physically based shading on mobile", 2014).
+    The mirrored view is unit within 2e-4: |2(n·v)n − v| = 1, but for the clamp of n·v.
+    The reflectance is Karis's fit of the environment BRDF ("Physically based shading
+    on mobile", 2014).
     """
     normal = material.normal
-    cos_view = jnp.maximum(vector.dot(normal, view), 1e-4)
-    mirrored = vector.normalize(normal * (2.0 * cos_view) - view)
+    cos_view = vector.materialize(jnp.maximum(vector.dot(normal, view), 1e-4))
+    mirrored = normal * (2.0 * cos_view) - view
     # r = roughness · c0 + c1
     r_x = 1.0 - material.roughness
     r_y = 0.0425 - 0.0275 * material.roughness

@@ -87,10 +87,13 @@ def radiance(
     )
     mirror = None
     if config.sky or config.reflections:
-        mirrored, reflectance = reflection(material, view)
+        # Materialized, and the sky's specular part too: fused into the sums, a last bit
+        # of the colour would depend on whether reflections are compiled.
+        mirrored, reflectance = vector.materialize(reflection(material, view))
         specular = jax.tree.map(jnp.zeros_like, color)
         if config.sky:
             diffuse, specular = _ambient(scene.sky, material, mirrored, reflectance)
+            specular = vector.materialize(specular)
             color = color + (diffuse + specular)
         if config.reflections:
             mirror = vector.materialize(
