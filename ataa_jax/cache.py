@@ -20,7 +20,15 @@ import numpy as np
 
 from ataa_jax.programs import folder, prune
 
-__all__ = ["code_hash", "content_hash", "folder", "read", "write"]
+__all__ = [
+    "code_hash",
+    "content_hash",
+    "folder",
+    "package_hash",
+    "read",
+    "read_all",
+    "write",
+]
 
 Tree = TypeVar("Tree")
 
@@ -35,6 +43,15 @@ def code_hash(*modules: ModuleType) -> str:
         for part in parts:
             digest.update(part.read_bytes())
     return digest.hexdigest()
+
+
+@cache
+def package_hash() -> str:
+    """Hashes all sources of the package, and names the versions of what computes."""
+    digest = hashlib.blake2b(digest_size=16)
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return f"{digest.hexdigest()} jax {jax.__version__} numpy {np.__version__}"
 
 
 def content_hash(tree: Any) -> str:
@@ -65,6 +82,15 @@ def read(file: Path, like: Tree) -> Tree | None:
         if array.shape != wanted.shape or array.dtype != wanted.dtype:
             return None
     return jax.tree.unflatten(structure, found)
+
+
+def read_all(file: Path) -> dict[str, np.ndarray] | None:
+    """Returns every array in a file by name; None where it is missing or damaged."""
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
 
 
 def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:

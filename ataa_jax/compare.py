@@ -6,7 +6,8 @@ all else is a function of the input.
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import astuple, dataclass, field
 from functools import partial
 
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from ataa_jax import color as colors
 from ataa_jax import metrics, pipeline, reference
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
+from ataa_jax.journal import Journal
 from ataa_jax.methods import (
     Drawer,
     Options,
@@ -94,12 +96,14 @@ def compare(
     shot: Source,
     options: Options,
     progress: Callable[[str, int, int], None] = lambda text, done, total: None,
+    journal: Journal | None = None,
 ) -> Comparison:
     """Runs the methods over the sequence and scores them against the reference.
 
     Args:
         shot: the world along a path, or a capture.
         options: methods, frames, reference, budget.
+        journal: frames that it holds are not rendered again; their times are not told.
         progress: told what is done, and how many of how many steps.
 
     Returns:
@@ -128,8 +132,18 @@ def compare(
 
     drawer = Drawer(shot)
     previous: dict[str, np.ndarray] = {}
+    begin = -options.lead_in
+    if journal is not None and journal.step is not None:
+        with suppress(KeyError):
+            previous = _go_on(journal, result, runners)
+            begin = journal.step + 1
+            done = (
+                begin
+                + options.lead_in
+                + max(begin, 0) * (options.reference_samples - 1)
+            )
     with warming(runners, shot):
-        for index in range(-options.lead_in, options.frames):
+        for index in range(begin, options.frames):
             drawer.start(index)
             if index == 0:  # times are of the frames that are scored
                 for each in runners:
@@ -142,6 +156,7 @@ def compare(
             if index < 0:
                 step(f"lead-in frame {index}")
                 previous = images
+                _commit(journal, index, result, runners, images)
                 continue
             told = partial(step, f"frame {index + 1} of {options.frames}")
             seen = truth(shot, index, options, told)
@@ -149,10 +164,60 @@ def compare(
             thin = np.asarray(seen.thin)
             _score(result, runners, images, previous, index, thin, drawer)
             previous = images
+            _commit(journal, index, result, runners, images)
     for each in runners:
         result.stage_ms[each.name] = each.steady()
     result.peak_memory_bytes = peak_memory()
     return result
+
+
+def _commit(
+    journal: Journal | None,
+    index: int,
+    result: Comparison,
+    runners: list[Runner],
+    images: dict[str, np.ndarray],
+) -> None:
+    """Notes a frame that is done: its pictures, all scores, what the next one reads."""
+    if journal is None:
+        return
+    shown = {}
+    if index >= 0:
+        pictures = {"images": result.images, "masks": result.masks, "whys": result.whys}
+        shown = {
+            f"{kind}/{name}": frames[index]
+            for kind, each in pictures.items()
+            for name, frames in each.items()
+        }
+    latest = [each.state for each in runners], images
+    facts = [list(astuple(score)) for score in result.scores]
+    journal.commit(index, latest, {"scores": facts, "names": list(images)}, shown)
+
+
+def _go_on(
+    journal: Journal, result: Comparison, runners: list[Runner]
+) -> dict[str, np.ndarray]:
+    """Fills in the frames that are done; returns the images of the last.
+
+    Raises:
+        KeyError: the journal lacks one of them.
+    """
+    assert journal.step is not None
+    image = np.empty((*result.size, 3), np.float32)
+    like = (
+        [each.state for each in runners],
+        dict.fromkeys(journal.facts["names"], image),
+    )
+    states, previous = journal.latest(like)
+    shown = [journal.kept(index) for index in range(journal.step + 1)]
+    for frame in shown:
+        for name, picture in frame.items():
+            kind, _, method = name.partition("/")
+            getattr(result, kind).setdefault(method, []).append(picture)
+    result.scores = [Score(*values) for values in journal.facts["scores"]]
+    for each, state in zip(runners, states, strict=True):
+        each.state = state
+    return previous
 
 
 def truth(

@@ -3,7 +3,9 @@
 A command renders into a hidden folder inside the output folder; only when it is
 complete are the files moved to their places, and what an earlier run had left there is
 removed. `MANIFEST.txt` lists what a run wrote, so that a later run knows what is its
-own; a folder that holds other files and no manifest is refused.
+own; a folder that holds other files and no manifest is refused. A process that is
+killed leaves the hidden folder behind: the same command finds it there and goes on (see
+`journal`), any other begins anew.
 
 No file carries a time, a host or a path: equal input gives equal bytes.
 """
@@ -13,34 +15,39 @@ import io
 import itertools
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import filelock
 import numpy as np
 from PIL import Image
 
 from ataa_jax.errors import InputError
 
 MANIFEST = "MANIFEST.txt"
-_PARTIAL = ".ataa-partial-"
+JOURNAL = ".journal"
+LOCK = ".lock"
+_PARTIAL = ".ataa-partial"
 
 Cell = str | int | float
 
 
 @contextmanager
-def output_folder(out: Path) -> Iterator[Path]:
+def output_folder(out: Path, *, resume: bool = False) -> Iterator[Path]:
     """Yields a folder to write into, whose files appear in `out` when all is done.
 
     Args:
         out: where the results shall lie; made if absent.
+        resume: leave what a killed process left in the hidden folder; whoever asks for
+            this keeps a `journal` there.
 
     Yields:
         A hidden folder inside `out`, removed with all its files if the block fails.
 
     Raises:
-        InputError: `out` cannot be written, or holds files that no earlier run wrote.
+        InputError: `out` cannot be written, holds files that no earlier run wrote, or
+            is being written by another process.
     """
     for folder in (out, *out.parents):
         if folder.exists() and not folder.is_dir():
@@ -49,23 +56,43 @@ def output_folder(out: Path) -> Iterator[Path]:
                 "a new or empty folder with --out"
             )
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    partial = out / _PARTIAL
     try:
         out.mkdir(parents=True, exist_ok=True)
         _refuse_foreign(out)
-        partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=out))
+        partial.mkdir(exist_ok=True)
+        lock = filelock.FileLock(partial / LOCK)
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        raise InputError(
+            f"output folder {out} is being written by another process; wait for it, or "
+            "give another with --out"
+        ) from None
     except OSError as error:
         raise InputError(
             f"output folder {out} cannot be written ({error.strerror}); give another "
             "with --out"
         ) from None
     try:
+        if not resume:
+            empty(partial)
         yield partial
         _publish(partial, out)
     finally:
+        lock.release()
         shutil.rmtree(partial, ignore_errors=True)
         for folder in missing:  # deepest first; only those that stayed empty
             with suppress(OSError):
                 folder.rmdir()
+
+
+def empty(partial: Path) -> None:
+    """Removes all but the lock from a hidden folder."""
+    for each in partial.iterdir():
+        if each.is_dir():
+            shutil.rmtree(each)
+        elif each.name != LOCK:
+            each.unlink()
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -80,23 +107,29 @@ def _refuse_foreign(out: Path) -> None:
 
 
 def _publish(partial: Path, out: Path) -> None:
-    """Removes what an earlier run wrote, then moves the new files into place."""
+    """Removes what an earlier run wrote, then moves the new files into place.
+
+    The manifest comes first, and lists both: a process killed in between leaves whole
+    files that a later run knows to be its own.
+    """
     written = sorted(
         file.relative_to(partial).as_posix()
         for file in partial.rglob("*")
-        if file.is_file()
+        if file.is_file() and file.name != LOCK and JOURNAL not in file.parts
     )
-    write_text(partial / MANIFEST, "".join(f"{name}\n" for name in written))
-    for name in _listed(out):
+    old = [name for name in _listed(out) if name not in written]
+    write_text(out / MANIFEST, "".join(f"{name}\n" for name in [*written, *old]))
+    for name in old:
         (out / name).unlink(missing_ok=True)
         for folder in (out / name).parents:
             if folder == out:
                 break
             with suppress(OSError):
                 folder.rmdir()
-    for name in (*written, MANIFEST):
+    for name in written:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (partial / name).replace(out / name)
+    write_text(out / MANIFEST, "".join(f"{name}\n" for name in written))
 
 
 def _listed(out: Path) -> list[str]:

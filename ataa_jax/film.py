@@ -1,6 +1,7 @@
 """One method over a camera path, as files: frames, masks, counts, times and a video."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from ataa_jax import color as colors
 from ataa_jax import compare, files, methods
 from ataa_jax.capture import results
 from ataa_jax.capture.record import Capture
+from ataa_jax.journal import Journal
 from ataa_jax.methods import Drawer, Options, Runner, Source
 from ataa_jax.report import mask_overlay, why_overlay, write_timings
 
@@ -31,6 +33,7 @@ def shoot(
     folder: Path,
     *,
     exr: bool = False,
+    journal: Journal | None = None,
     progress: Callable[[str, int, int], None] = lambda text, done, total: None,
 ) -> list[tuple[str, ...]]:
     """Renders a sequence and writes it.
@@ -53,6 +56,7 @@ def shoot(
         options: frames, lead-in, budget and parameters.
         folder: where to.
         exr: also write linear frames.
+        journal: in `folder`; frames that it holds are not rendered again.
         progress: told what is done, and how many of how many steps.
 
     Returns:
@@ -62,8 +66,14 @@ def shoot(
     drawer = Drawer(shot)
     first = -options.lead_in if runner.temporal else 0
     rows: list[tuple[str, ...]] = []
+    begin = first
+    if journal is not None and journal.step is not None:
+        with suppress(KeyError):
+            runner.state = journal.latest(runner.state)
+            rows = [tuple(row) for row in journal.facts]
+            begin = journal.step + 1
     with methods.warming([runner], shot):
-        for index in range(first, options.frames):
+        for index in range(begin, options.frames):
             drawer.start(index)
             image = runner.run(index, drawer)
             if index >= 0:
@@ -74,6 +84,8 @@ def shoot(
                     output = output if runner.method is not None else None
                     rays = rays_of(shot, method)
                     results.write(folder, shot, index, image, output, rays)
+            if journal is not None:
+                journal.commit(index, runner.state, rows)
             progress(
                 f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
             )

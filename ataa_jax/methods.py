@@ -4,6 +4,7 @@ A `Runner` goes over a sequence frame by frame; a `Drawer` beside it draws what 
 runners share. Times are taken around blocked stages.
 """
 
+import hashlib
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
@@ -16,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ataa_jax import color as colors
 from ataa_jax import (
+    cache,
     effects,
     fxaa,
     pipeline,
@@ -27,11 +28,12 @@ from ataa_jax import (
     sampling,
     segmentation,
 )
+from ataa_jax import color as colors
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
 from ataa_jax.segmentation import Config as SegmentationConfig
-from ataa_jax.types import FrameInputs, Scene, State
+from ataa_jax.types import FrameInputs, Scene
 from ataa_jax.world import Sequence
 
 # What a method runs over: a world along a path, or frames that an engine rendered.
@@ -168,6 +170,7 @@ class Runner(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.state: Any = None  # what the next frame reads, a pytree
         self.times: dict[str, list[float]] = {}
         self.shares: dict[str, float] = {}
         self.method: np.ndarray | None = None
@@ -254,7 +257,7 @@ class _Adaptive(Runner):
         if samples is None:
             self.config = replace(self.config, adaptive=False)
         self.samples = samples
-        self.state: State = pipeline.init(shot.size)
+        self.state = pipeline.init(shot.size)
         self.jitter = sampling.halton_jitter(
             self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
         )
@@ -391,6 +394,22 @@ def warming(runners: Iterable[Runner], shot: Source) -> Iterator[None]:
         yield
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def job_key(shot: Source, names: Iterable[str], options: Options) -> str:
+    """Hashes all that decides what methods make of a sequence."""
+    digest = hashlib.blake2b(digest_size=20)
+    choices = replace(options, params=None, methods=tuple(names))
+    digest.update(f"{cache.package_hash()} {choices} {shot.size}".encode())
+    digest.update(cache.content_hash(options.params).encode())
+    if isinstance(shot, Capture):
+        for file in sorted(shot.folder.rglob("*")):  # its bytes may be many
+            stat = file.stat()
+            digest.update(f"{file} {stat.st_size} {stat.st_mtime_ns}".encode())
+        return digest.hexdigest()
+    digest.update(f"{shot.world.content_hash} {shot.path} {shot.effects}".encode())
+    digest.update(cache.content_hash(shot.inputs(0)).encode())
+    return digest.hexdigest()
 
 
 def preset_of(method: str) -> str:

@@ -124,8 +124,10 @@ def run(
             f"--method of `ataa run` takes one method, not '{method}'; `ataa compare` "
             "takes several"
         )
-    with _output(out or Path("out") / f"{_stem(scene)}-{method}") as (folder, final):
+    place = out or Path("out") / f"{_stem(scene)}-{method}"
+    with _output(place, resume=True) as (folder, final):
         from ataa_jax import compare, film, methods
+        from ataa_jax.journal import Journal
 
         (name,) = methods.check_methods([method])
         name = methods.with_preset(name, preset)
@@ -149,7 +151,11 @@ def run(
                 shot, chosen = _prepare(
                     scene, extent, camera, motion, params, report, options
                 )
-            rows = film.shoot(shot, name, chosen, folder, exr=exr, progress=report)
+            key = methods.job_key(shot, [f"run {name} {exr}"], chosen)
+            rows = film.shoot(
+                shot, name, chosen, folder,
+                exr=exr, journal=Journal(folder, key), progress=report,
+            )  # fmt: skip
     console = Console(soft_wrap=True, highlight=False)
     heads = ("frame", "FXAA", "TAA", "ATAA", "rays/px", "over budget", "shadow rays")
     if any(row[1] for row in rows):
@@ -262,8 +268,9 @@ def _compare(
     given.at_least("--frames", options["frames"], 1)
     given.at_least("--lead-in", options.get("lead_in", 0), 0)
     given.at_least("--reference-samples", options["reference_samples"], 1)
-    with _output(out) as (folder, final):
+    with _output(out, resume=True) as (folder, final):
         from ataa_jax import compare, methods, report
+        from ataa_jax.journal import Journal
 
         if names:
             split = [part.strip() for name in names for part in name.split(",")]
@@ -277,7 +284,8 @@ def _compare(
                 shot, chosen = _prepare(
                     scene, extent, camera, motion, params, tell, options
                 )
-            result = compare.compare(shot, chosen, tell)
+            key = methods.job_key(shot, ["compare", *chosen.methods], chosen)
+            result = compare.compare(shot, chosen, tell, Journal(folder, key))
             report.write(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)
             )
@@ -356,11 +364,11 @@ def _stem(scene: str) -> str:
 
 
 @contextmanager
-def _output(out: Path) -> Iterator[tuple[Path, Path]]:
+def _output(out: Path, *, resume: bool = False) -> Iterator[tuple[Path, Path]]:
     """Yields the folder to write into and its final name; see `files.output_folder`."""
     from ataa_jax import files
 
-    with files.output_folder(out) as folder:
+    with files.output_folder(out, resume=resume) as folder:
         yield folder, out
 
 

@@ -1,0 +1,1 @@
+"""Files that are damaged or mean harm, made by a generator; see `corpus`."""

@@ -1,0 +1,109 @@
+"""Every spoiled file ends in a picture or in one clear sentence; see `harness`."""
+
+import shutil
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.bad_input import corpus
+from tests.bad_input.harness import Reader
+from tests.bad_input.reduced import reduced
+from tests.gltf_writer import Writer
+from tests.scenes import scene_path
+
+DATA = Path(__file__).parents[2] / "data"
+SCENES = (
+    *("cesium_milk_truck", "dutch_ship", "littlest_tokyo", "modern_house", "sponza"),
+)
+
+
+@cache
+def small(name: str) -> Writer:
+    return reduced(scene_path(f"{name}.glb"))
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory):
+    with Reader(tmp_path_factory.mktemp("bad_input")) as reader:
+        yield reader
+
+
+def faults_of(reader: Reader, kind: str, rounds: range) -> list[str]:
+    """Returns what went wrong with a kind's files, one file a scene and round."""
+    faults = []
+    for index in (len(SCENES) * r + s for r in rounds for s in range(len(SCENES))):
+        name = SCENES[index % len(SCENES)]
+        folder = reader.folder / "scene"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        seed = index * len(corpus.KINDS) + corpus.KINDS.index(kind)
+        done, file = corpus.write(small(name), seed, folder, reader.bait)
+        assert done == kind
+        _, fault = reader.verdict(reader.run(file))
+        if fault:
+            faults.append(f"seed {seed}, {name}: {fault}")
+    return faults
+
+
+@pytest.mark.parametrize("kind", corpus.KINDS)
+def test_a_spoiled_scene_ends_in_a_picture_or_in_one_sentence(reader, kind):
+    assert faults_of(reader, kind, range(1)) == []
+
+
+@pytest.mark.hard
+@pytest.mark.parametrize("kind", corpus.KINDS)
+def test_every_spoiled_scene_ends_in_a_picture_or_in_one_sentence(reader, kind):
+    assert faults_of(reader, kind, range(1, 21)) == []
+
+
+@pytest.fixture(scope="module")
+def truck(tmp_path_factory):
+    return small("cesium_milk_truck").glb(tmp_path_factory.mktemp("truck") / "a.glb")
+
+
+@pytest.mark.parametrize(
+    ("option", "sound"),
+    [("--params", "fitted.toml"), ("--camera", "keyframes.toml")],
+)
+def test_a_spoiled_table_ends_in_a_picture_or_in_one_sentence(
+    reader, truck, tmp_path, option, sound
+):
+    text = (DATA / sound).read_text()
+    found = {}
+    for seed in range(40):
+        file = tmp_path / f"{seed}.toml"
+        file.write_bytes(corpus.tables(text, seed))
+        ended, fault = reader.verdict(reader.run(truck, option, str(file)))
+        assert not fault, (seed, fault)
+        found[ended] = found.get(ended, 0) + 1
+    assert set(found) == {"image", "refused"}
+
+
+def test_a_spoiled_cache_file_is_not_believed(reader, truck):
+    _, fault = reader.verdict(reader.run(truck))
+    assert not fault
+    picture = reader.out / "frames" / "0000.png"
+    expected = picture.read_bytes()
+    files = [file for file in reader.cache.rglob("*.npz") if file.is_file()]
+    assert files
+    for seed in range(6):
+        for file in files:
+            file.write_bytes(corpus.archive(file.read_bytes(), seed))
+        _, fault = reader.verdict(reader.run(truck))
+        assert not fault, (seed, fault)
+        assert picture.read_bytes() == expected
+
+
+def test_the_sound_copies_render(reader, tmp_path):
+    for name in SCENES:
+        seen = reader.run(small(name).glb(tmp_path / f"{name}.glb"))
+        assert reader.verdict(seen) == ("image", "")
+
+
+def test_the_watch_notices_a_file_from_outside(reader, truck):
+    # What the other tests rely on: the same process, asked to open the bait.
+    seen = reader.run(reader.bait)
+    assert seen.trespasses
+    _, fault = reader.verdict(seen)
+    assert "opens" in fault

@@ -1,0 +1,174 @@
+"""A killed command goes on where it was killed, and ends in the same bytes."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ataa_jax import files
+from ataa_jax.errors import InputError
+from ataa_jax.journal import Journal
+from tests import tiny
+from tests.gltf_writer import Writer, solid
+
+SMALL = ("--size", "48x32", "--frames", "4", "--lead-in", "2")
+COMMANDS = {
+    "run": ("run", "{scene}", *SMALL),
+    "compare": (
+        *("compare", "{scene}", *SMALL, "--reference-samples", "4"),
+        *("--method", "none,taa,ataa8,ssaa2"),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a small scene, and a cache that holds its compiled programs."""
+    folder = tmp_path_factory.mktemp("interruptions")
+    writer = Writer()
+    ball = tiny.sphere(6, 9, 0.8)
+    writer.add("textures", source=writer.image(solid((200, 120, 40, 255), (4, 4))))
+    writer.add("materials", pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    flat = np.ascontiguousarray(ball.position.reshape(-1, 3), np.float32)
+    mesh = writer.mesh(
+        flat, material=0, texcoord_0=np.ascontiguousarray(flat[:, :2], np.float32)
+    )
+    writer.node(mesh=mesh)
+    writer.glb(folder / "ball.glb")
+    return folder
+
+
+def start(place: Path, name: str, out: str) -> subprocess.Popen:
+    words = [word.format(scene=place / "ball.glb") for word in COMMANDS[name]]
+    return subprocess.Popen(
+        [sys.executable, "-m", "ataa_jax.cli", *words, "--out", str(place / out)],
+        env={**os.environ, "ATAA_CACHE": str(place / "cache")},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+
+
+def result(folder: Path) -> dict[str, bytes]:
+    """Returns every file but the one that tells times."""
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file() and file.name != "timings.csv"
+    }
+
+
+def undisturbed(place: Path, name: str) -> tuple[dict[str, bytes], float]:
+    """Returns what a command writes, and how long it takes with all compiled."""
+    seconds = 0.0
+    for out in (f"{name}-first", f"{name}-calm"):
+        begin = time.monotonic()
+        process = start(place, name, out)
+        _, told = process.communicate()
+        assert process.returncode == 0, told
+        seconds = time.monotonic() - begin
+    return result(place / f"{name}-calm"), seconds
+
+
+def killed(place: Path, name: str, kills: int, seed: int) -> int:
+    """Kills a command at random moments; returns how often it was still alive."""
+    expected, seconds = undisturbed(place, name)
+    draw = random.Random(seed)
+    met = 0
+    for _ in range(kills):
+        process = start(place, name, f"{name}-killed")
+        time.sleep(draw.uniform(0.2, 1.0) * seconds)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        met += process.returncode == -signal.SIGKILL
+        if process.returncode == 0:  # it was faster: the next one begins anew
+            assert result(place / f"{name}-killed") == expected
+    process = start(place, name, f"{name}-killed")
+    _, told = process.communicate()
+    assert process.returncode == 0, told
+    assert result(place / f"{name}-killed") == expected
+    return met
+
+
+def test_a_command_that_is_killed_thrice_ends_in_the_same_bytes(place):
+    assert killed(place, "compare", 3, seed=0) > 0
+
+
+@pytest.mark.hard
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_that_is_killed_often_ends_in_the_same_bytes(place, name):
+    assert killed(place, name, 25, seed=1) > 10
+
+
+# ---- the journal
+
+
+def test_a_step_without_its_entry_was_not_done(tmp_path):
+    journal = Journal(tmp_path, "key")
+    journal.commit(0, {"x": np.arange(3)}, ["a"])
+    # Killed while step 1 was being noted: its arrays are there, its entry is not.
+    (tmp_path / files.JOURNAL / "latest-1.npz").write_bytes(b"half")
+    again = Journal(tmp_path, "key")
+    assert (again.step, again.facts) == (0, ["a"])
+    np.testing.assert_array_equal(
+        again.latest({"x": np.zeros(3, np.int64)})["x"], np.arange(3)
+    )
+
+
+def test_another_job_finds_nothing_of_the_first(tmp_path):
+    Journal(tmp_path, "key").commit(4, np.zeros(2), None)
+    (tmp_path / "frame.png").write_bytes(b"x")
+    assert Journal(tmp_path, "other").step is None
+    assert not (tmp_path / "frame.png").exists()
+
+
+def test_damaged_arrays_are_not_believed(tmp_path):
+    journal = Journal(tmp_path, "key")
+    journal.commit(2, np.zeros(2), None, {"image": np.ones(3)})
+    np.testing.assert_array_equal(journal.kept(2)["image"], np.ones(3))
+    for file in (tmp_path / files.JOURNAL).glob("*.npz"):
+        file.write_bytes(file.read_bytes()[:-9])
+    with pytest.raises(KeyError):
+        journal.latest(np.zeros(2))
+    with pytest.raises(KeyError):
+        journal.kept(2)
+
+
+def test_two_processes_do_not_write_into_one_folder(tmp_path):
+    with (
+        files.output_folder(tmp_path / "out"),
+        pytest.raises(InputError, match="another process"),
+        files.output_folder(tmp_path / "out"),
+    ):
+        pass
+
+
+def test_a_folder_killed_while_it_was_published_is_known_again(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    moved = []
+    replace = Path.replace
+
+    def stop_at_the_second(self, target):
+        if Path(target).suffix == ".txt" and Path(target).name != files.MANIFEST:
+            moved.append(target)
+            if len(moved) == 2:
+                raise KeyboardInterrupt
+        return replace(self, target)
+
+    def write(names):
+        with files.output_folder(out) as folder:
+            for name in names:
+                (folder / name).write_text("x")
+
+    monkeypatch.setattr(Path, "replace", stop_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        write(["a.txt", "b.txt"])
+    monkeypatch.undo()
+    assert (out / "a.txt").exists()
+    write(["c.txt"])
+    assert sorted(file.name for file in out.iterdir()) == [files.MANIFEST, "c.txt"]
