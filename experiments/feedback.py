@@ -1,5 +1,8 @@
 """Do traced colours, fed back into the history, lower the number of traced pixels?
 
+Found: yes, but by little: by 0.1 to 6 % of the traced pixels. On Sponza with a still
+camera and UE4's TAA it does the opposite, and raises them by 10 %.
+
 Paper, section 5: by feeding the supersampled results back into the TAA buffer "we also
 increase the probability that those pixels will not trigger supersampling on subsequent
 frames". 30 frames at 320×180 without a ray budget, with and without
