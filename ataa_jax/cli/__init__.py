@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from ataa_jax import capture_commands, errors, programs
-from ataa_jax.cli import cache_commands, fit_commands, given, terminal
+from ataa_jax.cli import cache_commands, fit_commands, given, terminal, verify_command
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -216,6 +216,7 @@ def check(
 
 app.command(name="fit")(fit_commands.fit)
 app.command(name="export")(fit_commands.export)
+app.command(name="verify")(verify_command.verify)
 app.add_typer(cache_commands.app, name="cache")
 
 
