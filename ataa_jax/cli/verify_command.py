@@ -30,8 +30,8 @@ def verify(traceback: given.Traceback = False) -> None:
     console.print(terminal.table(heads, rows))
     made, here = golden.origin(), golden.here()
     console.print(
-        f"\nChanged: pixels by more than 1/255, at most {golden.CHANGED:.0%}; other "
-        f"method: at most {golden.OTHER_METHOD:.0%}. Rendered by {made['command']} on "
+        f"\nChanged: pixels by more than 1/255, at most {golden.CHANGED:.1%}; other "
+        f"method: at most {golden.OTHER_METHOD:.1%}. Rendered by {made['command']} on "
         f"{made['date']}."
     )
     for name, version in here.items():
