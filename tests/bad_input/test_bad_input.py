@@ -24,8 +24,13 @@ def small(name: str) -> Writer:
 
 
 @pytest.fixture(scope="module")
-def reader(tmp_path_factory):
-    with Reader(tmp_path_factory.mktemp("bad_input")) as reader:
+def truck(tmp_path_factory):
+    return small("cesium_milk_truck").glb(tmp_path_factory.mktemp("truck") / "a.glb")
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory, truck):
+    with Reader(tmp_path_factory.mktemp("bad_input"), truck) as reader:
         yield reader
 
 
@@ -55,11 +60,6 @@ def test_a_spoiled_scene_ends_in_a_picture_or_in_one_sentence(reader, kind):
 @pytest.mark.parametrize("kind", corpus.KINDS)
 def test_every_spoiled_scene_ends_in_a_picture_or_in_one_sentence(reader, kind):
     assert faults_of(reader, kind, range(1, 21)) == []
-
-
-@pytest.fixture(scope="module")
-def truck(tmp_path_factory):
-    return small("cesium_milk_truck").glb(tmp_path_factory.mktemp("truck") / "a.glb")
 
 
 @pytest.mark.parametrize(
