@@ -15,9 +15,11 @@ import io
 import itertools
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import filelock
 import numpy as np
@@ -157,6 +159,29 @@ def atomic(file: Path) -> Iterator[Path]:
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
+
+
+def read_toml(file: Path, what: str) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Args:
+        file: where from.
+        what: what it is, for messages: "camera path".
+
+    Raises:
+        InputError: it cannot be read, or is not TOML.
+    """
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{what} {file} cannot be read ({error.strerror}); give the name of an "
+            "existing TOML file"
+        ) from None
+    except RecursionError:
+        raise InputError(f"{what} {file} is nested too deeply") from None
+    except ValueError as error:  # of TOML, or of UTF-8
+        raise InputError(f"{what} {file} is not valid TOML: {error}") from None
 
 
 def write_text(file: Path, text: str) -> None:

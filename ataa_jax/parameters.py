@@ -17,7 +17,6 @@ stages, keys the fields of their `Params`:
     [fit]                  # where the numbers come from; not read
 """
 
-import tomllib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -51,15 +50,7 @@ def read(file: Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read or is not TOML.
     """
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"parameter file {file} cannot be read ({error.strerror}); give the name "
-            "of an existing TOML file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"parameter file {file} is not valid TOML: {error}") from None
+    return files.read_toml(file, "parameter file")
 
 
 def override(params: Params, table: dict[str, Any], where: str) -> Params:

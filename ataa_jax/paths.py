@@ -25,7 +25,6 @@ On the command line a path is named by a text, read by the first rule that fits:
 4. ``CAMERA:KIND``, split at the last colon, if what follows it is such a kind.
 """
 
-import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -35,6 +34,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
+from ataa_jax import files
 from ataa_jax.camera import look_at
 from ataa_jax.errors import InputError
 from ataa_jax.scene import CameraSource
@@ -173,15 +173,7 @@ def _along(at: list[float], values: np.ndarray, frame: float) -> np.ndarray:
 
 
 def _from_toml(file: Path) -> CameraPath:
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"camera path {file} cannot be read ({error.strerror}); give the name of "
-            "an existing TOML file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"camera path {file} is not valid TOML: {error}") from None
+    table = files.read_toml(file, "camera path")
     known = {"kind", "camera", "motion", "fps", "keyframe"}
     if unknown := sorted(set(table) - known):
         raise InputError(

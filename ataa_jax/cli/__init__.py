@@ -25,6 +25,7 @@ from ataa_jax.errors import InputError
 if TYPE_CHECKING:
     from ataa_jax import effects, methods, paths, world
 
+_LONGEST = 900  # characters of a message. our choice: a long path and a sentence
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
 BAD_INPUT, INTERRUPTED, FAILED = 2, 130, 1
 
@@ -420,6 +421,8 @@ def main(arguments: list[str] | None = None) -> int:
         _traceback(words)
     if message:
         line = " ".join(message.split())
+        if len(line) > _LONGEST:  # it quotes what a file holds
+            line = f"{line[: _LONGEST * 2 // 3]} … {line[-_LONGEST // 3 :]}"
         print(f"error: {line}" if code != INTERRUPTED else line, file=sys.stderr)
     return code
 

@@ -102,8 +102,7 @@ def test_the_sound_copies_render(reader, tmp_path):
 
 
 def test_the_watch_notices_a_file_from_outside(reader, truck):
-    # What the other tests rely on: the same process, asked to open the bait.
-    seen = reader.run(reader.bait)
-    assert seen.trespasses
+    # What the other tests rely on: the same process, asked to read where it must not.
+    seen = reader.run(shutil.copy(truck, reader.bait.parent / "scene.glb"))
     _, fault = reader.verdict(seen)
     assert "opens" in fault
