@@ -29,6 +29,7 @@ hypothesis.settings.load_profile("ataa")
 SLOWEST = (
     *("test_real_scenes", "test_failures", "test_fit", "test_effects", "test_cli"),
     *("test_readme", "test_pipeline", "test_reference", "test_raytrace"),
+    *("test_bad_input", "test_interruptions"),
 )
 
 
