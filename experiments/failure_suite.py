@@ -57,6 +57,7 @@ OPTIONAL = {
     "object": types.WHY_OBJECT,
     "material": types.WHY_MATERIAL,
     "spread": types.WHY_SPREAD,
+    "response": types.WHY_RESPONSE,
 }
 COLUMNS = (
     *("letter", "case", "criterion", "caught", "share", "recall", "precision"),
