@@ -72,12 +72,10 @@ def read(file: Path, like: Tree) -> Tree | None:
         like: a tree of arrays, or their shapes and types, that it must have.
     """
     paths, structure = jax.tree_util.tree_flatten_with_path(like)
-    try:
-        # Opened here: numpy leaves a damaged file open.
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            found = [data[_name(path)] for path, _ in paths]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    held = read_all(file)
+    if held is None or not held.keys() >= {_name(path) for path, _ in paths}:
         return None
+    found = [held[_name(path)] for path, _ in paths]
     for array, (_, wanted) in zip(found, paths, strict=True):
         if array.shape != wanted.shape or array.dtype != wanted.dtype:
             return None
@@ -87,6 +85,7 @@ def read(file: Path, like: Tree) -> Tree | None:
 def read_all(file: Path) -> dict[str, np.ndarray] | None:
     """Returns every array in a file by name; None where it is missing or damaged."""
     try:
+        # Opened here: numpy leaves a damaged file open.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
@@ -119,4 +118,4 @@ def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
 
 
 def _name(path: Any) -> str:
-    return jax.tree_util.keystr(path).lstrip(".") or "array"
+    return jax.tree_util.keystr(path, simple=True, separator="/") or "array"

@@ -137,11 +137,8 @@ def compare(
         with suppress(KeyError):
             previous = _go_on(journal, result, runners)
             begin = journal.step + 1
-            done = (
-                begin
-                + options.lead_in
-                + max(begin, 0) * (options.reference_samples - 1)
-            )
+            done = options.lead_in + min(begin, 0)  # a step a lead-in frame,
+            done += max(begin, 0) * options.reference_samples  # one a sample after
     with warming(runners, shot):
         for index in range(begin, options.frames):
             drawer.start(index)

@@ -81,8 +81,8 @@ def output_folder(out: Path, *, resume: bool = False) -> Iterator[Path]:
         yield partial
         _publish(partial, out)
     finally:
-        lock.release()
         shutil.rmtree(partial, ignore_errors=True)
+        lock.release()
         for folder in missing:  # deepest first; only those that stayed empty
             with suppress(OSError):
                 folder.rmdir()

@@ -58,6 +58,9 @@ class Journal:
             kept: arrays by name that `kept` shall return at the end.
         """
         # By turns, so that the last step's file stands until the entry names this one.
+        # Removed first: if the disk is full, the step before the last must not be taken
+        # for this one.
+        self._latest(step).unlink(missing_ok=True)
         cache.write(self._latest(step), latest)
         if kept is not None:
             cache.write(self._kept(step), kept)
@@ -85,9 +88,7 @@ class Journal:
         found = cache.read_all(self._kept(step))
         if found is None:
             raise KeyError(step)
-        return {
-            name.removeprefix("['").removesuffix("']"): found[name] for name in found
-        }
+        return found
 
     def _latest(self, step: int) -> Path:
         return self.folder / f"latest-{step % 2}.npz"

@@ -396,11 +396,11 @@ def warming(runners: Iterable[Runner], shot: Source) -> Iterator[None]:
         pool.shutdown(cancel_futures=True)
 
 
-def job_key(shot: Source, names: Iterable[str], options: Options) -> str:
-    """Hashes all that decides what methods make of a sequence."""
+def job_key(shot: Source, command: str, options: Options) -> str:
+    """Hashes all that decides what a command makes of a sequence."""
     digest = hashlib.blake2b(digest_size=20)
-    choices = replace(options, params=None, methods=tuple(names))
-    digest.update(f"{cache.package_hash()} {choices} {shot.size}".encode())
+    choices = replace(options, params=None)
+    digest.update(f"{cache.package_hash()} {command} {choices} {shot.size}".encode())
     digest.update(cache.content_hash(options.params).encode())
     if isinstance(shot, Capture):
         for file in sorted(shot.folder.rglob("*")):  # its bytes may be many

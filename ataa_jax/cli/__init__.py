@@ -152,7 +152,7 @@ def run(
                 shot, chosen = _prepare(
                     scene, extent, camera, motion, params, report, options
                 )
-            key = methods.job_key(shot, [f"run {name} {exr}"], chosen)
+            key = methods.job_key(shot, f"run {name} {exr}", chosen)
             rows = film.shoot(
                 shot, name, chosen, folder,
                 exr=exr, journal=Journal(folder, key), progress=report,
@@ -286,7 +286,7 @@ def _compare(
                 shot, chosen = _prepare(
                     scene, extent, camera, motion, params, tell, options
                 )
-            key = methods.job_key(shot, ["compare", *chosen.methods], chosen)
+            key = methods.job_key(shot, "compare", chosen)
             result = compare.compare(shot, chosen, tell, Journal(folder, key))
             report.write(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)

@@ -10,7 +10,6 @@ mask/METHOD/         masks over the greyscale frames; why/METHOD/: the reasons
 timings.csv          the one file that is not a function of the input
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -78,9 +77,11 @@ def write_frames(comparison: Comparison, folder: Path) -> None:
             files.write_png(folder / "mask" / name, mask_overlay(image, mask))
             files.write_png(folder / "why" / name, why_overlay(image, why))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        sizes = {method: len(images) for method, images in comparison.images.items()}
-        every = [
-            (method, index) for method, size in sizes.items() for index in range(size)
+    with ThreadPoolExecutor() as pool:
+        writing = [
+            pool.submit(write, method, index)
+            for method, images in comparison.images.items()
+            for index in range(len(images))
         ]
-        list(pool.map(lambda frame: write(*frame), every))
+        for each in writing:
+            each.result()
