@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ataa_jax import color as colors
-from ataa_jax import vector, window
+from ataa_jax import rectification, vector, window
 from ataa_jax.types import GBuffer, History
 from ataa_jax.vector import Vec3
 
@@ -42,8 +42,7 @@ class Config:
     # clamp: per component into the box; clip: along the line to the box's centre;
     # variance_clip: the box is mean ± γσ, and the line leads to the mean (Salvi 2016).
     rectify: Literal["none", "clamp", "clip", "variance_clip"] = "clip"
-    # plus: the pixel and its four edge neighbours; rounded: mean of both boxes.
-    neighbourhood: Literal["box", "plus", "rounded"] = "box"
+    neighbourhood: rectification.Neighbourhood = "box"
     space: Literal["rgb", "ycocg"] = "ycocg"  # in which the box is axis-aligned
     # exponential: a is current_weight; accumulate: a = 1/(n + 1), a running mean of at
     # most count_limit frames: an exponential average that starts as a plain mean and
@@ -379,87 +378,20 @@ def _rectify(
     if config.space == "ycocg":
         planes = vector.materialize(planes)
     h, c = to_box(history), to_box(sample)
-    boxes = [_box(plane, params, config) for plane in (planes.x, planes.y, planes.z)]
-    low = Vec3(*(box[0] for box in boxes))
-    centre = Vec3(*(box[1] for box in boxes))
-    high = Vec3(*(box[2] for box in boxes))
+    gamma = params.variance_gamma if config.rectify == "variance_clip" else None
+    box = rectification.box(planes, config.neighbourhood, gamma)
     if config.rectify == "clamp":
-        h = _clamp(h, low, high)
+        h = rectification.clamp(h, box)
     else:
-        h = _clip(h, low, centre, high)
+        h = rectification.clip(h, box)
     if config.clamp_current:
-        sample = _in_range(from_box(_clamp(c, low, high)), config)
+        sample = _in_range(from_box(rectification.clamp(c, box)), config)
     # A box in YCoCg reaches beyond the RGB cube.
     return _in_range(from_box(h), config), sample
 
 
 def _unchanged(value: Vec3) -> Vec3:
     return value
-
-
-def _clamp(value: Vec3, low: Vec3, high: Vec3) -> Vec3:
-    return jax.tree.map(jnp.clip, value, low, high)
-
-
-def _clip(value: Vec3, low: Vec3, centre: Vec3, high: Vec3) -> Vec3:
-    """Pulls the value along the line to the box's centre until it is in the box.
-
-    With d = value − centre and e the box's half-size, the line leaves the box at
-    centre + d / max(|dᵢ| / eᵢ); inside the box that maximum is below 1.
-    """
-    d = value - centre
-
-    def overshoot(d: Array, low: Array, high: Array) -> Array:
-        # A flat box has e = 0; a difference below the floor is rounding, not colour.
-        return jnp.abs(d) / jnp.maximum(0.5 * (high - low), 1e-6)
-
-    ratios = jax.tree.map(overshoot, d, low, high)
-    return centre + d * (1.0 / jnp.maximum(vector.largest(ratios), 1.0))
-
-
-def _box(
-    bordered: Float[Array, "hb wb"], params: Params, config: Config
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    """Returns (low, centre, high) of one component over the neighbourhood."""
-    if config.neighbourhood == "rounded":
-        box = _one_box(bordered, "box", params, config)
-        plus = _one_box(bordered, "plus", params, config)
-        return (
-            0.5 * (box[0] + plus[0]),
-            0.5 * (box[1] + plus[1]),
-            0.5 * (box[2] + plus[2]),
-        )
-    return _one_box(bordered, config.neighbourhood, params, config)
-
-
-def _one_box(
-    bordered: Float[Array, "hb wb"],
-    shape: Literal["box", "plus"],
-    params: Params,
-    config: Config,
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    nine = window.neighbours(bordered)
-    own = nine[1][1]
-    if shape == "plus":
-        others = [nine[0][1], nine[1][0], nine[1][2], nine[2][1]]
-    else:
-        others = [nine[r][c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
-    if config.rectify != "variance_clip":
-        low, high = own, own
-        for other in others:
-            low, high = jnp.minimum(low, other), jnp.maximum(high, other)
-        return low, 0.5 * (low + high), high
-    # Moments of the differences from the pixel's own value, not of the values: in
-    # E[x²] − E[x]² a bright flat area would lose its variance to rounding.
-    first, second = jnp.zeros_like(own), jnp.zeros_like(own)
-    for other in others:
-        difference = other - own
-        first, second = first + difference, second + difference * difference
-    count = float(len(others) + 1)
-    shift = first / count
-    sigma = vector.root(second / count - shift * shift)
-    mean, reach = own + shift, params.variance_gamma * sigma
-    return mean - reach, mean, mean + reach
 
 
 def _current_weight(

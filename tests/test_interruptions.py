@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ataa_jax import files
+from ataa_jax import cache, files
 from ataa_jax.errors import InputError
 from ataa_jax.journal import Journal
 from tests import tiny
@@ -137,6 +137,18 @@ def test_damaged_arrays_are_not_believed(tmp_path):
         journal.latest(np.zeros(2))
     with pytest.raises(KeyError):
         journal.kept(2)
+
+
+def test_what_a_full_disk_did_not_take_is_not_made_up_of_an_older_step(
+    tmp_path, monkeypatch
+):
+    journal = Journal(tmp_path, "key")
+    for step in range(2):
+        journal.commit(step, np.full(2, step), None)
+    monkeypatch.setattr(cache, "write", lambda *_: None)  # as it does then
+    journal.commit(2, np.full(2, 2), None)
+    with pytest.raises(KeyError):
+        journal.latest(np.zeros(2, np.int64))
 
 
 def test_two_processes_do_not_write_into_one_folder(tmp_path):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import color as colors
-from ataa_jax import taa
+from ataa_jax import rectification, taa
 from ataa_jax.vector import Vec3
 from tests.hard_cases import buffers
 from tests.hard_cases.buffers import SIZE, STILL
@@ -318,7 +318,7 @@ def firefly_weight() -> float:
     danger="its trail flickers",
     quantity="largest difference from grey one frame later, default and UE4",
     bound=2e-6,
-    # The clip leaves 1e-6 of a flat box (taa._clip), and the tone map rounds.
+    # The clip leaves 1e-6 of a flat box (rectification.clip), and the tone map rounds.
     reason="the box of the next frame is grey; its floor is 1e-6 wide",
 )
 def firefly_trail() -> float:
@@ -344,7 +344,7 @@ def firefly_bleeds() -> float:
     danger="0/0 where the box has no size, or its centre lies on its border",
     quantity="largest distance outside the box",
     bound=1e-6 + 4 * EPS,
-    reason="a flat box counts as 1e-6 wide (taa._clip); four roundings of values ≤ 1",
+    reason="a flat box counts as 1e-6 wide; four roundings of values ≤ 1",
 )
 def flat_boxes() -> float:
     rng = np.random.default_rng(0)
@@ -360,7 +360,7 @@ def flat_boxes() -> float:
         Vec3(*(jnp.asarray(c, jnp.float32) for c in part))
         for part in (value, low, centre, high)
     )
-    clipped = taa._clip(v, lo, mid, hi)
+    clipped = rectification.clip(v, rectification.Box(lo, mid, hi))
     result = np.stack([clipped.x, clipped.y, clipped.z]).astype(np.float64)
     outside = np.maximum(low - result, result - high)
     return float(np.max(np.where(np.isfinite(result), outside, np.inf)))
