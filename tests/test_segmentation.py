@@ -1,4 +1,4 @@
-"""Segmentation: the paper's order of tests, the hold counter, terms and the budget."""
+"""Segmentation: the paper's order of tests, the hold counter, terms."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ataa_jax import compact, segmentation, terms, types
+from ataa_jax import segmentation, terms, types
 from tests.oracles import segmentation as oracle
 
 CONFIG = segmentation.Config()
@@ -374,53 +374,6 @@ def test_bad_radiance_leaves_the_terms_finite():
     for config in (CONFIG, CONFIGS["all, either"]):
         _, _, out = run((state, color, gbuffer, then), config)
         assert np.all(np.isfinite(out.score))
-
-
-@settings(max_examples=30)
-@given(
-    seed=st.integers(0, 1000),
-    levels=st.sampled_from([1, 3, 1000]),
-    allowed=st.integers(-1, 110),
-)
-def test_the_budget_goes_to_the_highest_scores_then_to_the_first_pixels(
-    seed, levels, allowed
-):
-    rng = np.random.default_rng(seed)
-    size = (9, 11)
-    method = rng.integers(0, 3, size)
-    score = (rng.integers(0, levels, size) / levels).astype(np.float32)
-    zeros = jnp.zeros(size, jnp.float32)
-    wanted = types.Segmentation(
-        mask=jnp.asarray(method | (3 << 16), jnp.uint32),
-        why=jnp.zeros(size, jnp.uint16),
-        score=jnp.asarray(score),
-        luminance=zeros,
-        depth=zeros,
-    )
-    out, overflow = segmentation.apply_budget(wanted, jnp.int32(allowed))
-    got, hold = segmentation.unpack_mask(out.mask)
-    keeps = oracle.budget(method, score, allowed)
-    np.testing.assert_array_equal(np.asarray(got) == types.METHOD_ATAA, keeps)
-    loses = (method == types.METHOD_ATAA) & ~keeps
-    np.testing.assert_array_equal(np.asarray(out.why) == types.WHY_OVER_BUDGET, loses)
-    assert np.all(np.asarray(got)[loses] == types.METHOD_TAA)
-    assert np.all(np.asarray(hold) == 3)
-    assert int(overflow) == loses.sum()
-
-
-@settings(max_examples=30)
-@given(
-    size=st.sampled_from([(1, 1), (7, 9), (4, 16), (33, 31)]),
-    density=st.sampled_from([0.0, 0.1, 0.9, 1.0]),
-    seed=st.integers(0, 100),
-)
-def test_compaction_lists_the_pixels_in_row_major_order(size, density, seed):
-    mask = np.random.default_rng(seed).random(size) < density
-    indices, count = compact.compact(jnp.asarray(mask))
-    expected = np.flatnonzero(mask)
-    assert int(count) == len(expected)
-    np.testing.assert_array_equal(indices[: len(expected)], expected)
-    assert np.all(np.asarray(indices)[len(expected) :] == mask.size)
 
 
 def test_jit_equals_eager():

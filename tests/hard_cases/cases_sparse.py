@@ -169,7 +169,7 @@ for name, danger, test in (
     (
         "the budget goes to the highest scores, then to the first pixels",
         "ties that depend on threads",
-        "test_segmentation.py::"
+        "test_mask.py::"
         "test_the_budget_goes_to_the_highest_scores_then_to_the_first_pixels",
     ),
     (
