@@ -8,7 +8,6 @@ import contextlib
 import io
 import json
 import os
-import resource
 import sys
 import time
 from pathlib import Path
@@ -50,7 +49,7 @@ def _audit(event: str, arguments: tuple) -> None:
 
 
 def main() -> None:
-    from ataa_jax import cli
+    from ataa_jax import cli, compare
 
     jax.monitoring.register_event_duration_secs_listener(_compiled)
     sys.addaudithook(_audit)
@@ -74,7 +73,7 @@ def main() -> None:
             "code": code,
             "err": err.getvalue()[-4000:],
             "seconds": whole - (_compiling - before),
-            "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+            "megabytes": compare.peak_memory() >> 20,
             "trespasses": _trespasses[:5],
         }
         print(json.dumps(answer), file=answers, flush=True)
