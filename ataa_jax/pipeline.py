@@ -34,6 +34,7 @@ from ataa_jax.presets import (
     Config,
     Params,
     Preset,
+    drawing,
     max_pixels,
     preset,
     with_budget,
@@ -69,6 +70,7 @@ __all__ = [
     "Statistics",
     "Trace",
     "antialias",
+    "drawing",
     "frame",
     "init",
     "max_pixels",
@@ -270,7 +272,7 @@ def stages(
         drawn = observe(
             "raster",
             raster.raster(
-                scene, inputs, params.raster, tracer=tracer, config=config.raster
+                scene, inputs, params.raster, tracer=tracer, config=drawing(config)
             ),
         )
     return antialias(

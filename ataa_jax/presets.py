@@ -169,6 +169,12 @@ def with_size(config: Config, size: tuple[int, int]) -> Config:
     return replace(config, raster=replace(config.raster, size=size))
 
 
+def drawing(config: Config) -> RasterConfig:
+    """Returns what the raster stage is to draw: also what the criteria ask of it."""
+    asked = config.adaptive and config.segmentation.use_layers
+    return replace(config.raster, second_motion=asked)
+
+
 def max_pixels(budget: Float[Array, ""], config: Config) -> Int[Array, ""]:
     """Returns how many pixels of a frame a ray budget pays for."""
     pixels = config.raster.size[0] * config.raster.size[1]

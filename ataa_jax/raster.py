@@ -38,6 +38,7 @@ class Config:
     camera_motion: bool = True  # False: the camera stands still; see `effects`
     object_motion: bool = True  # False: no rigid group moves
     mip_maps: bool = True  # False: level 0 everywhere, as the reference and SSAA read
+    second_motion: bool = False  # True: of what is seen through layers too
     shading: ShadingConfig = field(default_factory=ShadingConfig)
 
 
@@ -147,20 +148,34 @@ def _band(
         params.mip_bias,
         config=config.shading,
         tile=tile,
+        second=config.second_motion,
     )
     hits, surface = traced.shown, traced.surface
     if clear_of(tracer, config.shading) is not None:
         surface = interpolate(
             scene.geometry, inputs.world_from_group, hits, direction, None
         )
-    if config.camera_motion or config.object_motion:
-        motion_x, motion_y, motion_valid = _motion(
+
+    def motion_of(
+        hits: Hits, surface: Surface
+    ) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
+        if not (config.camera_motion or config.object_motion):
+            still = jnp.zeros((*x_px.shape, 2), jnp.float32)
+            return still, jnp.ones(x_px.shape, jnp.bool_)
+        x, y, valid = _motion(
             scene, inputs, direction, (x_px, y_px), hits, surface, size
         )
-    else:
-        motion_x = motion_y = jnp.zeros_like(x_px)
-        motion_valid = jnp.ones(x_px.shape, jnp.bool_)
-    motion = jnp.stack([motion_x, motion_y], axis=-1)
+        return jnp.stack([x, y], axis=-1), valid
+
+    motion, motion_valid = motion_of(hits, surface)
+    second_motion = second_share = None
+    if traced.second is not None:
+        beside = traced.second.hits
+        surface_beside = interpolate(
+            scene.geometry, inputs.world_from_group, beside, direction, None
+        )
+        second_motion = motion_of(beside, surface_beside)[0].reshape(*tile, 2)
+        second_share = traced.second.share.reshape(tile)
     normal = vector.stack(vector.select(surface.hit, surface.normal, 0.0))
     depth = jnp.where(surface.hit, hits.distance, jnp.inf)
     gbuffer = GBuffer(
@@ -170,6 +185,8 @@ def _band(
         normal=normal.reshape(*tile, 3),
         object=jnp.where(surface.hit, surface.object, -1).reshape(tile),
         material=jnp.where(surface.hit, surface.material, -1).reshape(tile),
+        second_motion=second_motion,
+        second_share=second_share,
     )
     return vector.stack(traced.color).reshape(*tile, 3), gbuffer, traced.rays
 

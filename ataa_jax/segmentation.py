@@ -40,6 +40,7 @@ from ataa_jax.types import (
     WHY_DEPTH,
     WHY_DISOCCLUDED,
     WHY_HELD,
+    WHY_LAYERS,
     WHY_LUMINANCE,
     WHY_MATERIAL,
     WHY_NORMAL,
@@ -94,6 +95,7 @@ class Config:
     use_material: bool = False  # another material in the 3×3
     use_spread: bool = False  # luminance varies in the 3×3 as it did not before
     use_response: bool = False  # TAA itself moved far from its history
+    use_layers: bool = False  # what is seen through a layer moves otherwise than it
 
 
 class Params(eqx.Module):
@@ -109,9 +111,11 @@ class Params(eqx.Module):
     material_weight: Float[Array, ""]
     spread_weight: Float[Array, ""]
     response_weight: Float[Array, ""]
+    layers_weight: Float[Array, ""]
     normal_threshold: Float[Array, ""]  # reading "either"
     spread_threshold: Float[Array, ""]  # reading "either"
     response_threshold: Float[Array, ""]  # reading "either"
+    layers_threshold: Float[Array, ""]  # reading "either"
     response_contrast: Float[Array, ""]  # local σ that halves the response's square
     luminance_floor: Float[Array, ""]  # tone-mapped luma under which change is noise
     disocclusion_px: Float[Array, ""]  # |m − m′| that says: something else was there
@@ -134,9 +138,11 @@ def default_params(
     material_weight: float = 1.0,
     spread_weight: float = 1.0,
     response_weight: float = 1.0,
+    layers_weight: float = 1.0,
     normal_threshold: float = 0.1,  # our choice: 18°
     spread_threshold: float = 0.1,  # our choice: as luminance_threshold
     response_threshold: float = 0.1,  # our choice: as luminance_threshold
+    layers_threshold: float = 0.1,  # our choice: as luminance_threshold
     # our choice: of 0.015, 0.03, 0.06, 0.12 and no limit the best on two scenes and
     # within 0.00002 of it on a third, in closed loop at 0.5 rays a pixel
     # (experiments/fit_thresholds.py contrast); SSIM's own √C₂ is 0.03.
@@ -163,9 +169,11 @@ def default_params(
         material_weight=jnp.asarray(material_weight, jnp.float32),
         spread_weight=jnp.asarray(spread_weight, jnp.float32),
         response_weight=jnp.asarray(response_weight, jnp.float32),
+        layers_weight=jnp.asarray(layers_weight, jnp.float32),
         normal_threshold=jnp.asarray(normal_threshold, jnp.float32),
         spread_threshold=jnp.asarray(spread_threshold, jnp.float32),
         response_threshold=jnp.asarray(response_threshold, jnp.float32),
+        layers_threshold=jnp.asarray(layers_threshold, jnp.float32),
         response_contrast=jnp.asarray(response_contrast, jnp.float32),
         luminance_floor=jnp.asarray(luminance_floor, jnp.float32),
         disocclusion_px=jnp.asarray(disocclusion_px, jnp.float32),
@@ -353,6 +361,13 @@ def criteria(
             raise ValueError("the criterion 'response' asks for the TAA result")
         term = terms.response(blended, reprojected, params.response_contrast)
         add("response", WHY_RESPONSE, term, params.response_threshold)
+    if config.use_layers:
+        term = jnp.zeros(color.shape[:2], jnp.float32)  # nothing is seen through
+        if gbuffer.second_motion is not None and gbuffer.second_share is not None:
+            term = terms.layers(
+                gbuffer.motion, gbuffer.second_motion, gbuffer.second_share
+            )
+        add("layers", WHY_LAYERS, term, params.layers_threshold)
     return found
 
 

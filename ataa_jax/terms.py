@@ -101,6 +101,22 @@ def id_edge(ids: Int[Array, "h w"]) -> Float[Array, "h w"]:
     return (low != high).astype(jnp.float32)
 
 
+def layers(
+    motion: Float[Array, "h w 2"],
+    second_motion: Float[Array, "h w 2"],
+    second_share: Float[Array, "h w"],
+) -> Float[Array, "h w"]:
+    """Returns s · d / (1 + d), in [0, 1]: how much of a pixel moves otherwise.
+
+    TAA reads one history position for all that a pixel shows. Where a second surface is
+    seen before or behind the first, with the share s of the colour, its history lies
+    d = |m − m₂| px (divided by one pixel) beside that position.
+    """
+    x, y = (motion[..., k] - second_motion[..., k] for k in (0, 1))
+    apart = vector.root(x * x + y * y)
+    return second_share * (apart / (1.0 + apart))
+
+
 def spread(
     color: Float[Array, "h w 3"],
     reprojected: Float[Array, "h w 3"],

@@ -28,6 +28,13 @@ _CHUNK = 4096  # our choice, as `raytrace.Config.chunk`
 _SHOWN = 0.5
 
 
+class Second(eqx.Module):
+    """Of all surfaces that a ray shows beside `Traced.shown`, the one it shows most."""
+
+    hits: Hits
+    share: Float[Array, " n"]  # of the colour, its largest channel's; 0: no such
+
+
 class Traced(eqx.Module):
     """What a batch of rays from one point saw."""
 
@@ -36,6 +43,7 @@ class Traced(eqx.Module):
     solid: Hits
     shown: Hits  # for the G-buffer: the first that is opaque, or nearly
     rays: Rays
+    second: Second | None = None  # where it is asked for and there may be layers
 
 
 def trace(
@@ -49,6 +57,7 @@ def trace(
     *,
     config: Config,
     tile: tuple[int, int] | None = None,
+    second: bool = False,
 ) -> Traced:
     """Traces and shades rays that start at one point.
 
@@ -62,6 +71,7 @@ def trace(
         mip_bias: added to the level of detail where there is one.
         config: the effects to compile.
         tile: image (height, width) where the rays are its pixels in row-major order.
+        second: also tell of the surface that is seen with the one shown.
 
     Returns:
         Radiance, hits and counts.
@@ -78,13 +88,14 @@ def trace(
         scene, tracer, world_from_group, direction, hits, steps, mip_bias,
         config=config, tile=tile,
     )  # fmt: skip
-    if shading.clear_of(tracer, config) is None and not config.reflections:
+    layered = shading.clear_of(tracer, config) is not None
+    if not layered and not config.reflections:
         return Traced(shaded.color, shaded.surface, hits, hits, shaded.rays)
-    color, shown, rays = _go_on(
+    color, shown, beside, rays = _go_on(
         scene, tracer, world_from_group, origin, direction, steps, mip_bias,
-        hits, shaded, config=config, tile=tile,
+        hits, shaded, config=config, tile=tile, second=second and layered,
     )  # fmt: skip
-    return Traced(color, shaded.surface, hits, shown, rays)
+    return Traced(color, shaded.surface, hits, shown, rays, beside)
 
 
 class _Ray(eqx.Module):
@@ -102,6 +113,7 @@ class _Ray(eqx.Module):
     mirror_start: Vec3
     shown: Hits
     found: Bool[Array, " c"]  # `shown` is a layer
+    second: Second | None  # of the layers
 
 
 def _go_on(
@@ -117,7 +129,8 @@ def _go_on(
     *,
     config: Config,
     tile: tuple[int, int] | None,
-) -> tuple[Vec3, Hits, Rays]:
+    second: bool,
+) -> tuple[Vec3, Hits, Second | None, Rays]:
     """Follows the rays that met a mirror, or a layer before their solid hit.
 
     One loop takes both turn by turn, so that the shading code is compiled once more
@@ -138,15 +151,13 @@ def _go_on(
         smooth = shaded.mirror.smooth
     rowwise = eqx.tree_at(lambda s: s.rays, shaded, None)
 
-    def work(
-        index: Int[Array, " c"], used: Bool[Array, " c"], carry: tuple[Vec3, Hits, Rays]
-    ) -> tuple[Vec3, Hits, Rays]:
-        color, shown, rays = carry
+    def work(index: Int[Array, " c"], used: Bool[Array, " c"], carry: tuple) -> tuple:
+        *gathered, rays = carry
         rows = jnp.minimum(index, n - 1)
         eye, toward, solid, layered, own = jax.tree.map(
             lambda x: x[rows], (origin, direction, hits, met, rowwise)
         )
-        ray = _first(eye, solid, own, layered & used, used)
+        ray = _first(eye, solid, own, layered & used, used, second)
 
         def unfinished(state: tuple) -> Bool[Array, ""]:
             count, ray, _ = state
@@ -164,14 +175,16 @@ def _go_on(
 
         start = (jnp.zeros((), jnp.int32), ray, rays)
         _, ray, rays = jax.lax.while_loop(unfinished, turn, start)
-        result = ray.color + ray.passed * ray.solid, ray.shown
-        color, shown = jax.tree.map(
-            lambda x, y: x.at[index].set(y, mode="drop"), (color, shown), result
+        color = ray.color + ray.passed * ray.solid
+        result = [color, ray.shown, _or_solid(ray, solid)]
+        gathered = jax.tree.map(
+            lambda x, y: x.at[index].set(y, mode="drop"), gathered, result
         )
-        return color, shown, rays
+        return *gathered, rays
 
+    beside = _no_second(n) if second else None
     return compact.for_each_chunk(
-        met | smooth, layers.CHUNK, work, (shaded.color, hits, rays)
+        met | smooth, layers.CHUNK, work, (shaded.color, hits, beside, rays)
     )
 
 
@@ -181,6 +194,7 @@ def _first(
     shaded: Shaded,
     layered: Bool[Array, " c"],
     used: Bool[Array, " c"],
+    second: bool,
 ) -> _Ray:
     """Returns the rays as they stand at the solid surface, before any layer."""
     black = jax.tree.map(jnp.zeros_like, shaded.color)
@@ -203,6 +217,7 @@ def _first(
         mirror_start=lifted(shaded.surface),
         shown=solid,
         found=nowhere,
+        second=_no_second(layered.shape[0]) if second else None,
     )
 
 
@@ -299,7 +314,31 @@ def _composited(
         mirror_start=lifted(shaded.surface),
         shown=_select(shows, hits, ray.shown),
         found=ray.found | shows,
+        second=_heavier(
+            ray.second, hits, jnp.where(shows, 0.0, vector.largest(weight))
+        ),
     )
+
+
+def _or_solid(ray: _Ray, solid: Hits) -> Second | None:
+    """Returns the second surface, now that the solid one's share is known as well."""
+    return _heavier(
+        ray.second, solid, jnp.where(ray.found, vector.largest(ray.passed), 0.0)
+    )
+
+
+def _heavier(
+    second: Second | None, hits: Hits, share: Float[Array, " c"]
+) -> Second | None:
+    """Returns the second surfaces, or others where those have a larger share."""
+    if second is None:
+        return None
+    more = share > second.share
+    return Second(_select(more, hits, second.hits), jnp.maximum(share, second.share))
+
+
+def _no_second(n: int) -> Second:
+    return Second(_miss(n), jnp.zeros((n,), jnp.float32))
 
 
 def _miss(n: int) -> Hits:

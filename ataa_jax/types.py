@@ -35,6 +35,7 @@ WHY_OBJECT = 256  # edge between objects
 WHY_MATERIAL = 512  # edge between materials
 WHY_SPREAD = 1024  # luminance varies in the 3×3 as it did not in the history
 WHY_RESPONSE = 2048  # TAA's result is far from the history it read
+WHY_LAYERS = 4096  # two surfaces are seen that move apart, one through the other
 
 NO_TEXTURE = -1
 LIGHT_DIRECTIONAL = 0
@@ -172,6 +173,11 @@ class GBuffer(eqx.Module):
     normal: Float[Array, "h w 3"]  # world, unit, interpolated, no normal map; sky 0
     object: Int[Array, "h w"]  # −1: sky
     material: Int[Array, "h w"]  # −1: sky
+    # Where a transparent layer lies before the surface that the buffers above tell of,
+    # or that surface is a layer: the motion of what else is seen there, as `motion`,
+    # and its share of the colour, in [0, 1]. Only the criterion "layers" reads them.
+    second_motion: Float[Array, "h w 2"] | None = None
+    second_share: Float[Array, "h w"] | None = None
 
 
 class History(eqx.Module):

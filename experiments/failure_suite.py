@@ -58,6 +58,7 @@ OPTIONAL = {
     "material": types.WHY_MATERIAL,
     "spread": types.WHY_SPREAD,
     "response": types.WHY_RESPONSE,
+    "layers": types.WHY_LAYERS,
 }
 COLUMNS = (
     *("letter", "case", "criterion", "caught", "share", "recall", "precision"),

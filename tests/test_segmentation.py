@@ -432,6 +432,27 @@ def test_the_response_term_agrees_with_the_oracle():
     np.testing.assert_allclose(term, expected, atol=1e-6)
 
 
+def test_the_layers_term_is_the_share_of_what_moves_otherwise():
+    state, color, gbuffer, then = frame((3, 4))
+    share = np.linspace(0.0, 0.5, 12, dtype=np.float32).reshape(3, 4)
+    apart = np.array([0.0, 0.5, 3.0, 1e4], np.float32)
+    # The other surface moves by (0.6, −0.8) of that beside the first.
+    other = gbuffer.motion + apart[None, :, None] * np.float32([0.6, -0.8])
+    term = terms.layers(gbuffer.motion, other, jnp.asarray(share))
+    np.testing.assert_allclose(term, share * (apart / (1.0 + apart)), rtol=1e-5)
+
+    config = replace(CONFIG, use_layers=True)
+    buffers = replace(gbuffer, second_motion=other, second_share=jnp.asarray(share))
+    # The mean of three terms, of which two are 0 here.
+    params = segmentation.default_params(threshold=0.05)
+    for seen, asked in ((gbuffer, 0.0 * share), (buffers, np.asarray(term))):
+        out = segmentation.segmentation(
+            state, color, seen, then, params, config=config
+        )
+        expected = np.where(asked > 0.15, types.WHY_LAYERS, 0)
+        np.testing.assert_array_equal(out.why, expected)
+
+
 def test_the_response_without_a_taa_result_is_refused():
     config = replace(CONFIG, use_response=True)
     with pytest.raises(ValueError, match="asks for the TAA result"):

@@ -1,5 +1,7 @@
 """Transport: layers composite in order, lights pass through them, mirrors reflect."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -22,8 +24,12 @@ def pane(color, alpha: float) -> tiny.Material:
     return glow(color, alpha=alpha, blended=True)
 
 
-def draw(scene, eye=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), **previous):
-    config = raster.Config(size=SIZE, shading=effects.required(scene))
+def draw(
+    scene, eye=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), second_motion=False, **previous
+):
+    config = raster.Config(
+        size=SIZE, shading=effects.required(scene), second_motion=second_motion
+    )
     return raster.raster(
         scene,
         frames.inputs(eye, target, **previous),
@@ -149,6 +155,51 @@ def test_the_gbuffer_shows_the_first_surface_that_hides_more_than_half(alpha, sh
     gbuffer = draw(scene).gbuffer
     np.testing.assert_array_equal(gbuffer.object, shown)
     np.testing.assert_allclose(gbuffer.depth, 4.0 - shown, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("alphas", "share", "moves"),
+    [
+        # The wall is shown; of the panes before it, the one that is seen more.
+        ((0.2,), 0.2, True),
+        ((0.1, 0.3), 0.9 * 0.3, True),
+        # A pane is shown; behind it the wall.
+        ((0.8,), 0.2, True),
+        ((0.0,), 0.0, False),
+    ],
+)
+def test_the_second_motion_is_that_of_what_is_seen_beside(alphas, share, moves):
+    panes = [pane((1.0, 0.0, 0.0), alpha) for alpha in alphas]
+    depths = [2.0 - k for k in range(len(alphas))]
+    scene = tiny.scene(
+        quads(0.0, *depths), [glow((0.5, 0.5, 0.5)), *panes], lights=[], sky=BLACK
+    )
+    # The camera steps to the right; a point at distance z moves by f / z.
+    before = {"previous_eye": (-0.1, 0.0, 4.0), "previous_target": (-0.1, 0.0, 0.0)}
+    plain = draw(scene, **before)
+    assert plain.gbuffer.second_motion is None
+    found = draw(scene, second_motion=True, **before)
+    bare = replace(found.gbuffer, second_motion=None, second_share=None)
+    for a, b in zip(
+        jax.tree.leaves((found.color, bare, found.rays)),
+        jax.tree.leaves((plain.color, plain.gbuffer, plain.rays)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_allclose(found.gbuffer.second_share, share, atol=1e-6)
+    if moves:
+        own, other = (
+            np.asarray(x)[CENTRE][0]
+            for x in (found.gbuffer.motion, found.gbuffer.second_motion)
+        )
+        z_own = float(np.asarray(found.gbuffer.depth)[CENTRE])
+        z_other = 4.0 - depths[-1] if alphas[0] < 0.5 else 4.0
+        assert own != other
+        np.testing.assert_allclose(own * z_own, other * z_other, rtol=1e-4)
+
+
+def test_without_layers_there_is_no_second_motion():
+    assert draw(mirror_scene(), second_motion=True).gbuffer.second_motion is None
 
 
 def mirror_scene(roughness: float = 0.0, **parts) -> object:

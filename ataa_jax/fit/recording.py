@@ -11,7 +11,7 @@ killed goes on where it stopped.
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -155,7 +155,7 @@ def _render(
 ) -> Recorded:
     world = shot.world
     drawn = raster.raster(
-        world.scene, inputs, params.raster, tracer=world.tracer, config=config.raster
+        world.scene, inputs, params.raster, tracer=world.tracer, config=_drawing(config)
     )
     traced = raytrace.raytrace(
         world.scene,
@@ -177,12 +177,28 @@ def _render(
     return pipeline.to_numpy(
         Recorded(
             color=drawn.color,
-            gbuffer=drawn.gbuffer,
+            gbuffer=_with_second(drawn.gbuffer),
             traced=traced.color,
             truth=jnp.asarray(truth),
             jitter=inputs.jitter,
             cut=inputs.cut,
         )
+    )
+
+
+def _drawing(config: pipeline.Config) -> raster.Config:
+    """Returns what is drawn: all that any criterion may read."""
+    return replace(config.raster, second_motion=True)
+
+
+def _with_second(gbuffer: GBuffer) -> GBuffer:
+    """Returns the buffers with zeros in the place of what no layer shows."""
+    if gbuffer.second_motion is not None:
+        return gbuffer
+    return replace(
+        gbuffer,
+        second_motion=jnp.zeros_like(gbuffer.motion),
+        second_share=jnp.zeros_like(gbuffer.depth),
     )
 
 
@@ -199,7 +215,7 @@ def _file(
     reference_samples: int,
 ) -> Path:
     digest = hashlib.blake2b(digest_size=20)
-    choices = (shot.size, config.raster, config.raytrace, reference_samples)
+    choices = (shot.size, _drawing(config), config.raytrace, reference_samples)
     digest.update(f"{_code_hash()} {choices}".encode())
     digest.update(shot.world.content_hash.encode())
     for array in jax.tree.leaves((inputs, params.raster)):
@@ -223,6 +239,8 @@ def _like(size: tuple[int, int]) -> Recorded:
             normal=image(3),
             object=image(dtype=jnp.int32),
             material=image(dtype=jnp.int32),
+            second_motion=image(2),
+            second_share=image(),
         ),
         traced=image(3),
         truth=image(3),

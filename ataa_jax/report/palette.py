@@ -47,6 +47,7 @@ REASONS: tuple[Reason, ...] = (
     Reason(types.WHY_DEPTH, "depth", (38, 198, 190)),
     Reason(types.WHY_SPREAD, "luminance varies", (255, 170, 90)),
     Reason(types.WHY_RESPONSE, "TAA left its history", (250, 235, 60)),
+    Reason(types.WHY_LAYERS, "layers move apart", (240, 120, 180)),
     Reason(types.WHY_NORMAL, "normals", (120, 220, 90)),
     Reason(types.WHY_OBJECT, "objects", (90, 200, 250)),
     Reason(types.WHY_MATERIAL, "materials", (200, 120, 60)),
