@@ -11,8 +11,10 @@ No file carries a time, a host or a path: equal input gives equal bytes.
 """
 
 import csv
+import errno
 import io
 import itertools
+import os
 import shutil
 import subprocess
 import tomllib
@@ -31,6 +33,9 @@ MANIFEST = "MANIFEST.txt"
 JOURNAL = ".journal"
 LOCK = ".lock"
 _PARTIAL = ".ataa-partial"
+
+# A full disk, a user's share of it, a process's limit, a disk that is only read.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 Cell = str | int | float
 
@@ -80,6 +85,13 @@ def output_folder(out: Path, *, resume: bool = False) -> Iterator[Path]:
             empty(partial)
         yield partial
         _publish(partial, out)
+    except OSError as error:
+        if reason := _no_room(error):
+            raise InputError(
+                f"output folder {out} cannot be written ({reason}); free some room, or "
+                "give another with --out"
+            ) from error
+        raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         lock.release()
@@ -151,14 +163,33 @@ def atomic(file: Path) -> Iterator[Path]:
     """Yields a temporary name beside `file` that becomes `file` if the block succeeds.
 
     The name keeps the suffix, by which some writers choose their format.
+
+    Raises:
+        InputError: the disk is full, or something else bounds what may be written.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.stem}.part{file.suffix}")
     try:
         yield part
         part.replace(file)
+    except Exception as error:
+        if reason := _no_room(error):
+            raise InputError(
+                f"{file.name} cannot be written ({reason}); free some room, or write "
+                "elsewhere"
+            ) from error
+        raise
     finally:
         part.unlink(missing_ok=True)
+
+
+def _no_room(error: Exception) -> str:
+    """Returns why nothing more can be written, if that is the trouble.
+
+    The encoders of videos and of OpenEXR tell no error number, but its text.
+    """
+    texts = map(os.strerror, _NO_ROOM)
+    return next((text for text in texts if text in str(error)), "")
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:

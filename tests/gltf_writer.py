@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tests import tiny
+
 _COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
@@ -149,3 +151,14 @@ def triangle_scene():
     writer = Writer()
     writer.node(mesh=writer.mesh())
     return writer
+
+
+def ball(path):
+    """Writes a small textured sphere, and returns where."""
+    writer = Writer()
+    writer.add("textures", source=writer.image(solid((200, 120, 40, 255), (4, 4))))
+    writer.add("materials", pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    corners = np.float32(tiny.sphere(6, 9, 0.8).position).reshape(-1, 3)
+    uv = np.ascontiguousarray(corners[:, :2])
+    writer.node(mesh=writer.mesh(corners, material=0, texcoord_0=uv))
+    return writer.glb(path)

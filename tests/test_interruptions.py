@@ -14,8 +14,7 @@ import pytest
 from ataa_jax import cache, files
 from ataa_jax.errors import InputError
 from ataa_jax.journal import Journal
-from tests import tiny
-from tests.gltf_writer import Writer, solid
+from tests.gltf_writer import ball
 
 SMALL = ("--size", "48x32", "--frames", "4", "--lead-in", "2")
 COMMANDS = {
@@ -31,16 +30,7 @@ COMMANDS = {
 def place(tmp_path_factory):
     """A folder with a small scene, and a cache that holds its compiled programs."""
     folder = tmp_path_factory.mktemp("interruptions")
-    writer = Writer()
-    ball = tiny.sphere(6, 9, 0.8)
-    writer.add("textures", source=writer.image(solid((200, 120, 40, 255), (4, 4))))
-    writer.add("materials", pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
-    flat = np.ascontiguousarray(ball.position.reshape(-1, 3), np.float32)
-    mesh = writer.mesh(
-        flat, material=0, texcoord_0=np.ascontiguousarray(flat[:, :2], np.float32)
-    )
-    writer.node(mesh=mesh)
-    writer.glb(folder / "ball.glb")
+    ball(folder / "ball.glb")
     return folder
 
 
@@ -103,6 +93,17 @@ def test_a_command_that_is_killed_thrice_ends_in_the_same_bytes(place):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_that_is_killed_often_ends_in_the_same_bytes(place, name):
     assert killed(place, name, 25, seed=1) > 10
+
+
+def test_ctrl_c_ends_in_a_word_and_leaves_nothing(place):
+    process = start(place, "run", "stopped")
+    while process.poll() is None and not (place / "stopped").exists():
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate()
+    assert process.returncode == 130
+    assert told.decode().splitlines()[-1] == "interrupted"
+    assert not (place / "stopped").exists()
 
 
 # ---- the journal

@@ -446,9 +446,7 @@ def test_the_layers_term_is_the_share_of_what_moves_otherwise():
     # The mean of three terms, of which two are 0 here.
     params = segmentation.default_params(threshold=0.05)
     for seen, asked in ((gbuffer, 0.0 * share), (buffers, np.asarray(term))):
-        out = segmentation.segmentation(
-            state, color, seen, then, params, config=config
-        )
+        out = segmentation.segmentation(state, color, seen, then, params, config=config)
         expected = np.where(asked > 0.15, types.WHY_LAYERS, 0)
         np.testing.assert_array_equal(out.why, expected)
 
