@@ -240,8 +240,27 @@ def test_a_search_that_was_killed_ends_where_an_undisturbed_one_does(tmp_path):
         progress=lambda text, done, total: seen.append(done),
     )  # fmt: skip
     assert seen[0] == 6, "a finished step was done again"
-    assert np.array_equal(whole.x, again.x)
-    assert whole.evaluations == again.evaluations
+    repeated = optimize.nelder_mead(
+        bowl, jnp.zeros(2), centre, steps=12, checkpoints=kept
+    )
+    for each in (again, repeated):
+        assert np.array_equal(whole.x, each.x)
+        assert whole.evaluations == each.evaluations
+
+
+def test_a_search_that_has_stopped_does_not_go_on_when_it_is_asked_again(tmp_path):
+    def bowl(x, centre):
+        return jnp.sum((x - centre) ** 2)
+
+    kept = Checkpoints(folder=tmp_path, key="bowl")
+    first, again = (
+        optimize.nelder_mead(
+            bowl, jnp.zeros(2), jnp.ones(2), steps=90, tolerance=1e-3, checkpoints=kept
+        )
+        for _ in range(2)
+    )
+    assert first.steps == again.steps < 90
+    assert first.evaluations == again.evaluations
 
 
 @pytest.mark.parametrize("solver", ["lm", "bfgs"])
@@ -275,10 +294,26 @@ def test_the_oracle_is_above_chance_and_tracing_nothing_is_taa(take, recording):
 
 
 def test_the_same_seed_gives_the_same_bytes(fitted, recording, tmp_path):
-    again = fits.fit([recording], OPTIONS, held_out=[recording])
-    for name, found in (("a.toml", fitted), ("b.toml", again)):
+    class KilledError(Exception):
+        pass
+
+    def kill(text, done, total):
+        if text.startswith("relaxed"):
+            raise KilledError
+
+    def fit(**options):
+        kept = Checkpoints(folder=tmp_path / "kept", key="fit")
+        return fits.fit(
+            [recording], OPTIONS, held_out=[recording], checkpoints=kept, **options
+        )
+
+    with pytest.raises(KilledError):
+        fit(progress=kill)
+    for name, found in (("calm", fitted), ("went on", fit()), ("repeated", fit())):
         result.write(found, {recording.name: "hash"}, tmp_path / name)
-    assert (tmp_path / "a.toml").read_bytes() == (tmp_path / "b.toml").read_bytes()
+    calm = (tmp_path / "calm").read_bytes()
+    assert (tmp_path / "went on").read_bytes() == calm
+    assert (tmp_path / "repeated").read_bytes() == calm
 
 
 def test_the_file_carries_the_lowest_threshold_and_no_frame_exceeds_the_budget(fitted):

@@ -80,17 +80,12 @@ def nelder_mead(
     saved = checkpoints.load("nelder-mead", (x, dynamic))
     if saved is not None:
         x, dynamic = jax.tree.map(jnp.asarray, saved)
-    done = int(eqx.combine(dynamic, static).step)
-    while done < steps:
+    state = eqx.combine(dynamic, static)
+    while (done := int(state.step)) < steps and not (done and _met(state, tolerance)):
         x, dynamic = step(x, dynamic, args)
         checkpoints.save("nelder-mead", (x, dynamic))
         state = eqx.combine(dynamic, static)
-        done = int(state.step)
-        progress(f"Nelder–Mead, {float(state.best[0]):.5f}", done, steps)
-        spread = jnp.max(jnp.abs(state.f_simplex - state.best[0]))
-        if float(spread) <= tolerance:
-            break
-    state = eqx.combine(dynamic, static)
+        progress(f"Nelder–Mead, {float(state.best[0]):.5f}", int(state.step), steps)
     shrinks = int(state.stats.n_shrink)
     vertices = start.shape[0] + 1
     return Found(
@@ -99,6 +94,11 @@ def nelder_mead(
         evaluations=vertices * (1 + shrinks) + 2 * max(done - 1, 0),
         steps=done,
     )
+
+
+def _met(state: Any, tolerance: float) -> bool:
+    """Returns whether the simplex's values agree within a tolerance."""
+    return float(jnp.max(jnp.abs(state.f_simplex - state.best[0]))) <= tolerance
 
 
 def _corrected(state: Any) -> Any:

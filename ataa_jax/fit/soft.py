@@ -27,6 +27,7 @@ ROUNDS = 3
 PRICES = 6  # moves of the price a round
 _STEPS = 25
 _FIRST_PRICE = 1e-2
+_STILL = 0.05  # our choice: weights that moved by less than 5 % have stopped changing
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,15 @@ def fit(
     """
     quantities = space.weights(terms)
     current = jnp.log(_values(params, quantities))
-    # what is kept: weights now, best weights, its score, price, evaluations, round
-    state = (current, current, *(jnp.zeros((), jnp.float32),) * 4)
+    # what is kept: weights now, best weights, its score, price, evaluations, round, and
+    # how far the weights moved in it
+    state = (current, current, *(jnp.zeros((), jnp.float32),) * 4, jnp.float32(jnp.inf))
     saved = checkpoints.load(f"soft-{solver}", state)
     if saved is not None:
         state = jax.tree.map(jnp.asarray, saved)
-    current, best, best_ssim, price, evaluations, done = state
+    current, best, best_ssim, price, evaluations, done, moved = state
     price = jnp.where(done > 0, price, _FIRST_PRICE)
-    while int(done) < rounds:
+    while int(done) < rounds and moved >= _STILL:
         at = with_weights(params, quantities, jnp.exp(current))
         results = [score.at_budget(take, at, budget) for take in takes]
         ssim = float(np.mean([each.ssim for each in results]))
@@ -96,18 +98,17 @@ def fit(
         middle = float(np.mean(np.log([each.threshold for each in results])))
         start = jnp.concatenate([current, jnp.full((1,), middle, jnp.float32)])
         points = _starts(start, quantities, starts if int(done) == 0 else 1, seed)
-        y, price, spent = _priced(points, pixels, budget, float(price), takes, solver)
-        moved = float(jnp.max(jnp.abs(y[:-1] - current), initial=0.0))
+        y, priced, spent = _priced(points, pixels, budget, float(price), takes, solver)
+        price = jnp.float32(priced)  # as it is kept: who goes on must go on alike
+        moved = jnp.max(jnp.abs(y[:-1] - current), initial=0.0)
         current = y[:-1]
         evaluations = evaluations + spent
         done = done + 1
         checkpoints.save(
             f"soft-{solver}",
-            (current, best, best_ssim, jnp.float32(price), evaluations, done),
+            (current, best, best_ssim, price, evaluations, done, moved),
         )
         progress(f"relaxed fit ({solver}), {ssim:.5f}", int(done), rounds)
-        if moved < 0.05:  # our choice: 5 % of a weight
-            break
     at = with_weights(params, quantities, jnp.exp(current))
     last = float(np.mean([score.at_budget(take, at, budget).ssim for take in takes]))
     if last >= float(best_ssim):

@@ -1,0 +1,82 @@
+"""The long versions of the tests of trust, and a table of what they did.
+
+Runs ``pytest -m hard``: 2,000 spoiled scenes, 75 commands killed at random moments,
+2,000 frames on one processor and on all, with asynchronous dispatch and without. Every
+test states its bound; the table tells what each did, and how it ended.
+
+    python experiments/trust.py             # writes experiments/results/trust.toml
+    python experiments/trust.py tests/test_long_runs.py     # only these; others stay
+"""
+
+import datetime
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import tomllib
+import xml.etree.ElementTree as Tree
+from pathlib import Path
+
+import tomli_w
+
+ROOT = Path(__file__).parents[1]
+FILE = Path(__file__).parent / "results" / "trust.toml"
+VERSIONS = ("ataa-jax", "embreex", "jax", "jaxlib", "numpy", "pillow", "trimesh")
+
+
+def rows(report: Path) -> list[dict[str, object]]:
+    """Returns one row a test of a JUnit report: what it did, its end, its seconds."""
+    found = []
+    for case in Tree.parse(report).iter("testcase"):
+        ends = {each.tag for each in case} - {"properties", "system-out", "system-err"}
+        did = {
+            str(each.get("name")): _number(str(each.get("value")))
+            for each in case.iter("property")
+        }
+        found.append(
+            {
+                "test": f"{case.get('classname')}.{case.get('name')}",
+                "end": ", ".join(sorted(ends)) or "passed",
+                "seconds": round(float(case.get("time", 0.0))),
+                "did": did,
+            }
+        )
+    return found
+
+
+def _number(text: str) -> int | float:
+    return float(text) if "." in text else int(text)
+
+
+def main() -> int:
+    """Runs the tests and writes the table."""
+    command = ["-m", "pytest", "-m", "hard", "-n", "0", *sys.argv[1:]]
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "report.xml"
+        done = subprocess.run(
+            [sys.executable, *command, f"--junitxml={report}"],
+            cwd=ROOT,
+            env={**os.environ},
+            check=False,
+        )
+        found = rows(report)
+    run = {
+        "command": f"python {' '.join(command)}",
+        "date": datetime.datetime.now(datetime.UTC).date(),
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in VERSIONS},
+    }
+    new = {str(row["test"]) for row in found}
+    old = tomllib.loads(FILE.read_text())["test"] if FILE.is_file() else []
+    kept = [row for row in old if row["test"] not in new]
+    table = sorted([*kept, *found], key=lambda row: str(row["test"]))
+    FILE.write_text(tomli_w.dumps({"run": run, "test": table}))
+    for row in found:
+        print(row["end"], row["test"], row["did"])
+    return done.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
