@@ -1,9 +1,9 @@
 """Terms of the segmentation's criteria: how much a pixel asks for rays, in [0, 1].
 
 Two are the paper's (section 3): the temporal change of luminance, and depth edges. The
-others see what those two miss: edges between surfaces of one depth, and detail finer
-than the 3×3 mean, whose luminance does not change. All are dimensionless. Border rule
-of every 3×3: clamp to edge.
+others see what those two miss: edges between surfaces of one depth, detail finer than
+the 3×3 mean, whose luminance does not change, and what moves behind a transparent
+surface. All are dimensionless. Border rule of every 3×3: clamp to edge.
 """
 
 import jax
