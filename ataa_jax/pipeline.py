@@ -281,7 +281,7 @@ def stages(
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnames=("tracer", "config"))
+@partial(jax.jit, static_argnames="config")
 def frame(
     state: State,
     inputs: FrameInputs,

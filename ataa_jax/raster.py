@@ -67,7 +67,7 @@ class RasterOutput(eqx.Module):
         return jnp.sum(self.rays.shadow, dtype=jnp.int32)
 
 
-@partial(jax.jit, static_argnames=("tracer", "config"))
+@partial(jax.jit, static_argnames="config")
 def raster(
     scene: Scene,
     inputs: FrameInputs,

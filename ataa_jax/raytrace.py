@@ -76,7 +76,7 @@ def nothing(size: tuple[int, int], lights: Lights | None) -> RaytraceOutput:
     )
 
 
-@partial(jax.jit, static_argnames=("tracer", "config"))
+@partial(jax.jit, static_argnames="config")
 def raytrace(
     scene: Scene,
     inputs: FrameInputs,

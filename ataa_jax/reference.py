@@ -94,7 +94,7 @@ def supersample(
     return Supersampled(color=color, thin=total[1] * scale)
 
 
-@partial(jax.jit, static_argnames=("tracer", "config", "average"), donate_argnums=(3,))
+@partial(jax.jit, static_argnames=("config", "average"), donate_argnums=(3,))
 def _add_sample(
     scene: Scene,
     inputs: FrameInputs,

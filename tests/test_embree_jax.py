@@ -7,10 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ataa_jax import embree
 from tests import tiny
 from tests.tracing import (
+    down,
     garden,
     pose,
     rays,
@@ -24,7 +26,7 @@ def test_jit_eager_and_host_give_the_same_bits(backend):
     arrays = [jnp.asarray(a) for a in (pose(0), origin, direction)]
     host = tracer.intersect_numpy(pose(0), origin, direction)
     eager = embree.intersect(tracer, *arrays)
-    jitted = jax.jit(embree.intersect, static_argnums=0)(tracer, *arrays)
+    jitted = jax.jit(embree.intersect)(tracer, *arrays)
     for hits in (eager, jitted):
         np.testing.assert_array_equal(hits.distance, host.distance)
         np.testing.assert_array_equal(hits.triangle, host.triangle)
@@ -32,7 +34,7 @@ def test_jit_eager_and_host_give_the_same_bits(backend):
         assert hits.triangle.dtype == jnp.int32
     distance, active = np.full(1000, np.float32(2)), np.arange(1000) % 2 == 0
     expected = tracer.occluded_numpy(pose(0), origin, direction, distance, active)
-    blocked = jax.jit(embree.occluded, static_argnums=0)(
+    blocked = jax.jit(embree.occluded)(
         tracer, *arrays, jnp.asarray(distance), jnp.asarray(active)
     )
     np.testing.assert_array_equal(blocked, expected)
@@ -118,3 +120,31 @@ def test_a_collected_tracer_frees_embree():
     del tracer, scene
     gc.collect()
     assert sorted(freed) == ["device", "scene", "scene", "scene", "scene"]
+
+
+def test_scenes_of_equal_shapes_share_a_program():
+    traced = []
+
+    @jax.jit
+    def distance(tracer, origin, direction):
+        traced.append(tracer)
+        still = jnp.asarray(tiny.still())
+        return embree.intersect(tracer, still, origin, direction).distance
+
+    origin, direction = (jnp.asarray(a) for a in down([0.1], [0.2], height=3.0))
+    for height in (0.0, 1.0, 2.0):
+        tracer = embree.build(tiny.scene([tiny.floor(height=height)]))
+        np.testing.assert_array_equal(
+            distance(tracer, origin, direction), [3.0 - height]
+        )
+    assert len(traced) == 1
+
+
+def test_rays_to_a_scene_that_was_freed_are_an_error():
+    tracer = embree.build(tiny.scene([tiny.floor(height=0.25)]))
+    keys = jax.tree.map(lambda key: key, tracer)
+    del tracer
+    gc.collect()
+    origin, direction = (jnp.asarray(a) for a in down([0.0], [0.0]))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="was freed"):
+        embree.intersect(keys, jnp.asarray(tiny.still()), origin, direction)

@@ -24,7 +24,7 @@ about 6 ns a miss. `occluded` does not: it would double the cost of every lit po
 import ctypes
 import hashlib
 import weakref
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -69,13 +69,16 @@ _living: "weakref.WeakValueDictionary[int, Tracer]" = weakref.WeakValueDictionar
 class Tracer:
     """A scene's geometry inside Embree.
 
-    Compares and hashes by identity, so it can be a static argument of `jax.jit`. Its
-    memory is Embree's own and is freed with it. Any number of threads may use it.
+    A pytree whose leaves are keys: a compiled program is given a tracer like any other
+    operand, so scenes of equal shapes share it. The memory is Embree's own and is freed
+    with the object that `build` returned: keep that while programs run. Any number of
+    threads may use it.
 
     Attributes:
         group_count: Rigid groups it knows; `world_from_group` has at least as many.
         backend: ``packet`` or ``run``.
-        key: 63 bits of a hash of what it was built from, by which programs name it.
+        key: 64 bits of a hash of what it was built from, uint32 (2,), high word first,
+            by which programs name it.
         clear: Traces the surfaces that something shows through, which this tracer
             does not have; None where the scene has none.
     """
@@ -90,7 +93,7 @@ class Tracer:
     ) -> None:
         self.backend = backend
         self.group_count = group_count
-        self.key = key
+        self.key: Any = np.array([key >> 32, key & 0xFFFFFFFF], np.uint32)
         self.clear = clear
         self._way = way
         _living[key] = self
@@ -149,13 +152,29 @@ class Tracer:
         return matrices
 
 
+def _flatten(tracer: Tracer) -> tuple[tuple[Any, Tracer | None], int]:
+    return (tracer.key, tracer.clear), tracer.group_count
+
+
+def _unflatten(group_count: int, leaves: tuple[Any, Tracer | None]) -> Tracer:
+    """Returns what a program sees of a tracer: its keys, and no memory."""
+    tracer = object.__new__(Tracer)
+    tracer.key, tracer.clear = leaves
+    tracer.group_count = group_count
+    tracer.backend = "operand"
+    return tracer
+
+
+jax.tree_util.register_pytree_node(Tracer, _flatten, _unflatten)
+
+
 def build(
     scene: types.Scene, *, backend: str = "auto", device_config: str = ""
 ) -> Tracer:
     """Builds Embree's acceleration structures, once a scene.
 
     While a tracer lives, the same geometry, masks and arguments give that tracer again:
-    a scene that is loaded twice is neither built nor compiled for twice.
+    a scene that is loaded twice is built once.
 
     Args:
         scene: The scene; its arrays are copied.
@@ -192,7 +211,7 @@ def build(
 
 def _key(content: str) -> int:
     digest = hashlib.blake2b(content.encode(), digest_size=8).digest()
-    return int.from_bytes(digest, "big") >> 1
+    return int.from_bytes(digest, "big")
 
 
 def _build(
@@ -226,7 +245,7 @@ def intersect(
     Not differentiable: no gradient flows through it, into rays or transforms.
 
     Args:
-        tracer: The scene, static under `jit`.
+        tracer: The scene.
         world_from_group: Where the rigid groups are. Row 0 is not read: group 0 is
             the world. A group without an inverse (scaled to nothing, or flattened)
             is not there.
@@ -252,8 +271,9 @@ def intersect(
     distance, triangle, barycentric = hostcall.call(
         intersect_host,
         shapes,
+        jnp.asarray(tracer.key),
         *jax.lax.stop_gradient((world_from_group, origin, direction)),
-        **_numbers(tracer, tile, coherent),
+        **_numbers(tile, coherent),
     )
     return types.Hits(distance=distance, triangle=triangle, barycentric=barycentric)
 
@@ -272,7 +292,7 @@ def occluded(
     """Says which rays meet anything solid, inside `jit` or outside.
 
     Args:
-        tracer: The scene, static under `jit`.
+        tracer: The scene.
         world_from_group: As in `intersect`.
         origin: World space.
         direction: World space, of any length but 0.
@@ -294,38 +314,39 @@ def occluded(
     (answer,) = hostcall.call(
         occluded_host,
         (jax.ShapeDtypeStruct((origin.shape[0],), jnp.bool_),),
+        jnp.asarray(tracer.key),
         *jax.lax.stop_gradient(operands),
         active,
-        **_numbers(tracer, tile, coherent),
+        **_numbers(tile, coherent),
     )
     return answer
 
 
-def _numbers(
-    tracer: Tracer, tile: tuple[int, int] | None, coherent: bool
-) -> dict[str, int]:
+def _numbers(tile: tuple[int, int] | None, coherent: bool) -> dict[str, int]:
     height, width = tile or (0, 0)
-    return {
-        "tracer": tracer.key,
-        "height": height,
-        "width": width,
-        "coherent": int(coherent),
-    }
+    return {"height": height, "width": width, "coherent": int(coherent)}
+
+
+def _named(key: np.ndarray) -> Tracer:
+    high, low = (int(word) for word in key)
+    if (found := _living.get(high << 32 | low)) is None:
+        raise RuntimeError("the tracer of this scene was freed before its rays ran")
+    return found
 
 
 @hostcall.target
 def intersect_host(
+    key: np.ndarray,
     world_from_group: np.ndarray,
     origin: np.ndarray,
     direction: np.ndarray,
     *,
-    tracer: int,
     height: int,
     width: int,
     coherent: int,
 ) -> HostHits:
     """Does `intersect` for the tracer of a key; a tile of height 0 is none."""
-    return _living[tracer].intersect_numpy(
+    return _named(key).intersect_numpy(
         world_from_group,
         origin,
         direction,
@@ -336,19 +357,19 @@ def intersect_host(
 
 @hostcall.target
 def occluded_host(
+    key: np.ndarray,
     world_from_group: np.ndarray,
     origin: np.ndarray,
     direction: np.ndarray,
     distance: np.ndarray,
     active: np.ndarray,
     *,
-    tracer: int,
     height: int,
     width: int,
     coherent: int,
 ) -> tuple[np.ndarray]:
     """Does `occluded` for the tracer of a key; a tile of height 0 is none."""
-    blocked = _living[tracer].occluded_numpy(
+    blocked = _named(key).occluded_numpy(
         world_from_group,
         origin,
         direction,

@@ -1,8 +1,6 @@
 """Whole frames of any small scene by one compiled program.
 
-A tracer is a static argument: a scene of its own would compile anew. Here one tracer
-stands for all: what it traces is exchanged on the host, which the program cannot see,
-and every scene has arrays of the same shapes.
+Every scene has arrays of the same shapes, so none compiles anew.
 """
 
 from dataclasses import replace
@@ -26,12 +24,9 @@ def yard() -> furnished.Shot:
 
 
 @cache
-def _program(full: bool) -> tuple[embree.Tracer, pipeline.Config, pipeline.Params]:
-    """The stand-in tracer and the preset; full: all maps, mirrors and 8 rays too."""
+def _program(full: bool) -> tuple[pipeline.Config, pipeline.Params]:
+    """The preset; full: all maps, mirrors and 8 rays too."""
     scene = yard().scene
-    own = embree.build(scene)
-    # A key that no scene's hash has: programs find the tracer by it.
-    tracer = embree.Tracer(own.backend, own.group_count, own._way, key=1 + full)
     shading = replace(
         effects.required(scene),
         emission=True,
@@ -45,12 +40,12 @@ def _program(full: bool) -> tuple[embree.Tracer, pipeline.Config, pipeline.Param
         "tuned", scene, SIZE, samples=8 if full else 2, budget=np.inf,
         selection=effects.Selection(shading),
     )  # fmt: skip
-    return tracer, replace(config, fxaa=FXAA), params
+    return replace(config, fxaa=FXAA), params
 
 
 def params() -> pipeline.Params:
     """The default preset's numbers, without a ray budget."""
-    return _program(False)[2]
+    return _program(False)[1]
 
 
 def frame(
@@ -62,12 +57,9 @@ def frame(
     full: bool = False,
 ) -> tuple[pipeline.FrameOutput, types.State]:
     """Renders one frame of a scene that has the yard's shapes."""
-    tracer, config, numbers = _program(full)
-    stand_in = embree.build(scene, backend=backend)
-    assert stand_in.clear is None
-    tracer.backend = stand_in.backend
-    tracer.group_count = stand_in.group_count
-    tracer._way = stand_in._way
+    config, numbers = _program(full)
+    tracer = embree.build(scene, backend=backend)
+    assert tracer.clear is None
     output, after = pipeline.frame(
         state, inputs, numbers, scene=scene, tracer=tracer, config=config
     )
