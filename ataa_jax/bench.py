@@ -95,15 +95,14 @@ def _trace_rate(shot: worlds.Sequence) -> list[Row]:
     """Rays a second of the stage's batches, by packets and by `EmbreeScene.run`."""
     world, inputs = shot.world, shot.inputs(0)
     origin, direction = _stage_rays(inputs, shot.size)
-    transforms = np.asarray(inputs.world_from_group)
     count = len(origin)
     jitted = jax.jit(
         lambda o, d: embree.intersect(world.tracer, inputs.world_from_group, o, d)
     )
     on_device = jax.device_put((origin, direction))
     packet = _median_s(lambda: jitted(*on_device))
-    single = embree.build(world.scene, backend="run")
-    run = _median_s(lambda: single.intersect_numpy(transforms, origin, direction))
+    bare = embree.bare_run(world.scene)
+    run = _median_s(lambda: bare(origin, direction))
     return [
         (f"primary rays, {world.tracer.backend} in jit", count / packet / 1e6, "M/s"),
         ("primary rays, EmbreeScene.run", count / run / 1e6, "M/s"),

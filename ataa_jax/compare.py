@@ -303,6 +303,8 @@ def peak_memory() -> int:
     if sys.platform == "darwin":
         return peak  # bytes
     # Linux starts `ru_maxrss` at the peak of the process that started this one.
-    status = Path("/proc/self/status").read_text().splitlines()
-    own = (each.split()[1] for each in status if each.startswith("VmHWM:"))
-    return int(next(own, peak)) * 1024
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                peak = int(line.split()[1])
+    return peak * 1024

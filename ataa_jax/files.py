@@ -34,8 +34,13 @@ JOURNAL = ".journal"
 LOCK = ".lock"
 _PARTIAL = ".ataa-partial"
 
-# A full disk, a user's share of it, a process's limit, a disk that is only read.
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+# A full disk, a user's share of it, a process's limit.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Only to be read, no leave, a file in the place of a folder or the reverse.
+_NO_PLACE = (
+    *(errno.EROFS, errno.EACCES, errno.EPERM),
+    *(errno.EEXIST, errno.ENOTDIR, errno.EISDIR),
+)
 
 Cell = str | int | float
 
@@ -86,10 +91,10 @@ def output_folder(out: Path, *, resume: bool = False) -> Iterator[Path]:
         yield partial
         _publish(partial, out)
     except OSError as error:
-        if reason := _no_room(error):
+        if reason := _unwritable(error):
             raise InputError(
-                f"output folder {out} cannot be written ({reason}); free some room, or "
-                "give another with --out"
+                f"output folder {out} cannot be written: {reason}, or give another "
+                "with --out"
             ) from error
         raise
     finally:
@@ -165,31 +170,54 @@ def atomic(file: Path) -> Iterator[Path]:
     The name keeps the suffix, by which some writers choose their format.
 
     Raises:
-        InputError: the disk is full, or something else bounds what may be written.
+        InputError: the disk is full, or nothing may be written there.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.stem}.part{file.suffix}")
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
         yield part
         part.replace(file)
     except Exception as error:
-        if reason := _no_room(error):
+        if reason := _unwritable(error):
             raise InputError(
-                f"{file.name} cannot be written ({reason}); free some room, or write "
-                "elsewhere"
+                f"{file.name} cannot be written: {reason}, or write elsewhere"
             ) from error
         raise
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
-def _no_room(error: Exception) -> str:
-    """Returns why nothing more can be written, if that is the trouble.
+def check_writable(file: Path) -> None:
+    """Refuses a file that cannot be written, before the work that fills it.
+
+    Raises:
+        InputError: it is a folder, or its own folder cannot be made or written to.
+    """
+    folder = next(each for each in file.absolute().parents if each.exists())
+    reason = ""
+    if file.is_dir():
+        reason = "it is a folder"
+    elif not folder.is_dir():
+        reason = f"{folder} is a file"
+    elif not os.access(folder, os.W_OK | os.X_OK):
+        reason = f"nothing can be written to {folder}"
+    if reason:
+        raise InputError(f"{file} cannot be written, for {reason}; give another file")
+
+
+def _unwritable(error: Exception) -> str:
+    """Returns why nothing can be written and what to do, if that is the trouble.
 
     The encoders of videos and of OpenEXR tell no error number, but its text.
     """
-    texts = map(os.strerror, _NO_ROOM)
-    return next((text for text in texts if text in str(error)), "")
+    number = error.errno if isinstance(error, OSError) else None
+    if number in _NO_PLACE:
+        return f"{error}; make it writable"
+    for each in _NO_ROOM:
+        if number == each or (number is None and os.strerror(each) in str(error)):
+            return f"{os.strerror(each)}; free some room"
+    return ""
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:

@@ -279,7 +279,7 @@ class _Adaptive(Runner):
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         phase = (frame - self.first) % len(self.jitter)
         drawn, inputs, ms = drawer.draw(
-            pipeline.drawing(self.config), self.params.raster, self.jitter[phase]
+            pipeline.raster_config(self.config), self.params.raster, self.jitter[phase]
         )
         self.record("raster", ms)
         shot = drawer.shot

@@ -34,9 +34,9 @@ from ataa_jax.presets import (
     Config,
     Params,
     Preset,
-    drawing,
     max_pixels,
     preset,
+    raster_config,
     with_budget,
     with_criteria,
     with_size,
@@ -70,11 +70,11 @@ __all__ = [
     "Statistics",
     "Trace",
     "antialias",
-    "drawing",
     "frame",
     "init",
     "max_pixels",
     "preset",
+    "raster_config",
     "sequence",
     "stages",
     "to_numpy",
@@ -272,7 +272,11 @@ def stages(
         drawn = observe(
             "raster",
             raster.raster(
-                scene, inputs, params.raster, tracer=tracer, config=drawing(config)
+                scene,
+                inputs,
+                params.raster,
+                tracer=tracer,
+                config=raster_config(config),
             ),
         )
     return antialias(

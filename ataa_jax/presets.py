@@ -169,10 +169,10 @@ def with_size(config: Config, size: tuple[int, int]) -> Config:
     return replace(config, raster=replace(config.raster, size=size))
 
 
-def drawing(config: Config) -> RasterConfig:
-    """Returns what the raster stage is to draw: also what the criteria ask of it."""
+def raster_config(config: Config) -> RasterConfig:
+    """Returns the raster stage's choices, with what the criteria ask of it as well."""
     asked = config.adaptive and config.segmentation.use_layers
-    return replace(config.raster, second_motion=asked)
+    return replace(config.raster, second_motion=config.raster.second_motion or asked)
 
 
 def max_pixels(budget: Float[Array, ""], config: Config) -> Int[Array, ""]:

@@ -1,8 +1,9 @@
 """The cache folder: what it holds, how it is emptied, and compiled programs in it.
 
 Compiling takes most of a first command's time; a program that is kept serves the next
-process that runs the same code on the same scene, size and effects (see `hostcall` for
-why it can be kept). Imports neither JAX nor NumPy, so that it can come before them.
+process that runs the same code on arrays of the same shapes, with the same effects
+(see `hostcall` for why it can be kept). Imports neither JAX nor NumPy, so that it can
+come before them.
 """
 
 import hashlib

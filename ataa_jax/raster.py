@@ -169,6 +169,9 @@ def _band(
 
     motion, motion_valid = motion_of(hits, surface)
     second_motion = second_share = None
+    if config.second_motion:  # without layers there is none: its share is 0
+        second_motion = jnp.zeros((*tile, 2), jnp.float32)
+        second_share = jnp.zeros(tile, jnp.float32)
     if traced.second is not None:
         beside = traced.second.hits
         surface_beside = interpolate(

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import terms, window
+from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
     all_taa,
@@ -362,11 +363,13 @@ def criteria(
         term = terms.response(blended, reprojected, params.response_contrast)
         add("response", WHY_RESPONSE, term, params.response_threshold)
     if config.use_layers:
-        term = jnp.zeros(color.shape[:2], jnp.float32)  # nothing is seen through
-        if gbuffer.second_motion is not None and gbuffer.second_share is not None:
-            term = terms.layers(
-                gbuffer.motion, gbuffer.second_motion, gbuffer.second_share
+        if gbuffer.second_motion is None or gbuffer.second_share is None:
+            raise InputError(
+                "the criterion 'layers' reads the motion of what is seen through them: "
+                "draw it by raster.Config(second_motion=True), or leave the criterion "
+                "out where nobody can tell it, as of an engine's frames"
             )
+        term = terms.layers(gbuffer.motion, gbuffer.second_motion, gbuffer.second_share)
         add("layers", WHY_LAYERS, term, params.layers_threshold)
     return found
 

@@ -109,7 +109,7 @@ def layers(
     """Returns s · d / (1 + d), in [0, 1]: how much of a pixel moves otherwise.
 
     TAA reads one history position for all that a pixel shows. Where a second surface is
-    seen before or behind the first, with the share s of the colour, its history lies
+    seen before or behind the first, with weight s in the composite, its history lies
     d = |m − m₂| px (divided by one pixel) beside that position.
     """
     x, y = (motion[..., k] - second_motion[..., k] for k in (0, 1))

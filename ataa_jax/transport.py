@@ -32,7 +32,8 @@ class Second(eqx.Module):
     """Of all surfaces that a ray shows beside `Traced.shown`, the one it shows most."""
 
     hits: Hits
-    share: Float[Array, " n"]  # of the colour, its largest channel's; 0: no such
+    # Its weight in the composite (see the module), the largest channel's; 0: none.
+    share: Float[Array, " n"]
 
 
 class Traced(eqx.Module):

@@ -175,7 +175,8 @@ class GBuffer(eqx.Module):
     material: Int[Array, "h w"]  # −1: sky
     # Where a transparent layer lies before the surface that the buffers above tell of,
     # or that surface is a layer: the motion of what else is seen there, as `motion`,
-    # and its share of the colour, in [0, 1]. Only the criterion "layers" reads them.
+    # and its weight in the composite, in [0, 1]. Only the criterion "layers" reads
+    # them, and only for it are they drawn.
     second_motion: Float[Array, "h w 2"] | None = None
     second_share: Float[Array, "h w"] | None = None
 

@@ -84,6 +84,7 @@ def quality() -> str:
         ("… on literature's TAA", "ataa8_ue4", "taa_error_removed", percent),
         ("*thin*, ATAA 8x", "ataa8", "thin_mse_ratio", ratio),
         ("… by the paper's criteria", "ataa8_paper", "thin_mse_ratio", ratio),
+        ("… on literature's TAA", "ataa8_ue4", "thin_mse_ratio", ratio),
         ("pixels that thin features cross", "ataa8", "thin_share", percent),
         ("rays a pixel, ATAA 8x", "ataa8", "rays_per_pixel", ratio),
     ):

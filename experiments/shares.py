@@ -48,7 +48,7 @@ def main() -> None:
         world = scenes.load(name)
         for motion in ("typical", "rapid"):
             shot = scenes.shot(world, "walk", motion)
-            within = shares(shot, 0.5)
+            within = shares(shot, pipeline.BUDGET)
             free = shares(shot, float("inf"))
             row = [name, motion, within["fxaa"], within["ataa"], within["rays"]]
             table.append([*row, free["rays"]])

@@ -59,7 +59,7 @@ def backend(request: pytest.FixtureRequest) -> str:
 def _compiled_programs_go_with_their_module():
     """Frees what a module compiled.
 
-    Every scene has a tracer of its own, for which all stages compile anew; a process
+    Scenes of other shapes and other effects compile all stages anew; a process
     that keeps thousands of programs runs out of memory mappings and dies compiling.
     """
     yield

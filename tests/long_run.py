@@ -17,16 +17,23 @@ import psutil
 def main(frames: int, size: tuple[int, int], cpus: str, dispatch: str) -> None:
     if cpus == "one":
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    from ataa_jax import programs
+
+    programs.keep()
     import jax
     import numpy as np
+    from jax._src import xla_bridge
 
-    from ataa_jax import embree, pipeline, programs
+    from ataa_jax import embree
+
+    # `embree` switches it off; here it is on in spite of that. JAX reads the flag when
+    # it makes its client, for which the other modules' constants are reason enough.
+    jax.config.update("jax_cpu_enable_async_dispatch", dispatch == "async")
+    assert not xla_bridge.backends_are_initialized()
+    from ataa_jax import pipeline
     from ataa_jax import world as worlds
     from ataa_jax.builtin import failures
 
-    programs.keep()
-    # `embree` switches it off; here it is on in spite of that.
-    jax.config.update("jax_cpu_enable_async_dispatch", dispatch == "async")
     if cpus == "one":
         embree.set_threads(1)
     compiled = []

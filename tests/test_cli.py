@@ -45,7 +45,7 @@ def cache(tmp_path_factory, monkeypatch):
 
 @pytest.fixture(autouse=True, scope="module")
 def one_world():
-    # Every world has a tracer of its own, for which all stages compile anew.
+    # To prepare a world is to build its tracer and to measure its light.
     prepare, kept = world.prepare, {}
 
     def kept_world(source, **options):

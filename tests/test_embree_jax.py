@@ -109,7 +109,7 @@ def test_the_same_scene_gives_the_same_tracer_while_it_lives():
 
 
 def test_a_collected_tracer_frees_embree():
-    # Arguments of its own: no compiled program of another test holds this tracer.
+    # Arguments of its own: no other test holds this tracer.
     tracer = embree.build(garden(groups=3), device_config="threads=1")
     origin, direction = rays(100)
     tracer.intersect_numpy(pose(0), origin, direction)

@@ -82,6 +82,19 @@ def test_a_disk_that_may_only_be_read_ends_in_a_sentence(scene, tmp_path, capfd)
         assert "Read-only file system" in refused(words, capfd)
 
 
+def test_a_file_in_the_place_of_a_folder_ends_in_a_sentence(scene, tmp_path, capfd):
+    (tmp_path / "file").write_text("x")
+    output = ("--output", str(tmp_path / "file" / "p.toml"))
+    # The fit says so before it has fitted anything.
+    told = refused(("fit", str(scene), *output), capfd)
+    assert f"{tmp_path / 'file'} is a file" in told
+    fitted = str(Path(__file__).parents[1] / "data" / "fitted.toml")
+    assert "cannot be written" in refused(("export", fitted, *output), capfd)
+    (tmp_path / "a.toml").mkdir()
+    told = refused(("fit", str(scene), "--output", str(tmp_path / "a.toml")), capfd)
+    assert "it is a folder" in told
+
+
 def test_what_the_disk_held_before_stays(scene, tmp_path, capfd):
     command, *options = COMMANDS["run"]
     with disk(tmp_path / "disk", 1000) as small:

@@ -87,7 +87,9 @@ def killed(place: Path, name: str, kills: int, seed: int) -> int:
     forget(place)
     draw = random.Random(seed)
     met = 0
-    for _ in range(kills):
+    for _ in range(4 * kills):  # some end before they are killed
+        if met == kills:
+            break
         process = start(place, name, f"{name}-killed")
         time.sleep(draw.uniform(0.2, 1.0) * seconds)
         process.send_signal(signal.SIGKILL)
@@ -104,7 +106,7 @@ def killed(place: Path, name: str, kills: int, seed: int) -> int:
 
 
 def test_a_command_that_is_killed_thrice_ends_in_the_same_bytes(place):
-    assert killed(place, "compare", 3, seed=0) > 0
+    assert killed(place, "compare", 3, seed=0) == 3
 
 
 @pytest.mark.hard
@@ -114,12 +116,12 @@ def test_a_command_that_is_killed_often_ends_in_the_same_bytes(
 ):
     kills = killed(place, name, 25, seed=1)
     record_property("commands killed", kills)
-    assert kills > 10
+    assert kills == 25
 
 
 def test_ctrl_c_ends_in_a_word_and_leaves_nothing(place):
     process = start(place, "run", "stopped")
-    while process.poll() is None and not (place / "stopped").exists():
+    while process.poll() is None and not list(place.glob("stopped/**/latest-*.npz")):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     _, told = process.communicate()

@@ -48,7 +48,7 @@ def cache(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("cpus", "dispatch"), [("all", "sync"), ("one", "async")])
-def test_five_hundred_frames_hold_no_more_than_a_hundred(cpus, dispatch, cache):
+def test_five_hundred_frames_hold_no_more_than_the_first_of_them(cpus, dispatch, cache):
     # One image of 64×36 kept a frame would be 10 MB by then.
     check(held(500, (36, 64), cpus, dispatch, cache), 4 << 20)
 
@@ -56,7 +56,7 @@ def test_five_hundred_frames_hold_no_more_than_a_hundred(cpus, dispatch, cache):
 @pytest.mark.hard
 @pytest.mark.parametrize("dispatch", ["sync", "async"])
 @pytest.mark.parametrize("cpus", ["all", "one"])
-def test_two_thousand_frames_hold_no_more_than_five_hundred(
+def test_two_thousand_frames_hold_no_more_than_the_first_of_them(
     cpus, dispatch, cache, record_property
 ):
     # One image of 320×180 kept a frame would be 1 GB by then.

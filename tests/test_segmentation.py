@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ataa_jax import segmentation, terms, types
+from ataa_jax.errors import InputError
 from tests.oracles import segmentation as oracle
 
 CONFIG = segmentation.Config()
@@ -445,7 +446,10 @@ def test_the_layers_term_is_the_share_of_what_moves_otherwise():
     buffers = replace(gbuffer, second_motion=other, second_share=jnp.asarray(share))
     # The mean of three terms, of which two are 0 here.
     params = segmentation.default_params(threshold=0.05)
-    for seen, asked in ((gbuffer, 0.0 * share), (buffers, np.asarray(term))):
+    with pytest.raises(InputError, match="second_motion=True"):
+        segmentation.segmentation(state, color, gbuffer, then, params, config=config)
+    nothing = replace(buffers, second_share=jnp.zeros_like(share))
+    for seen, asked in ((nothing, 0.0 * share), (buffers, np.asarray(term))):
         out = segmentation.segmentation(state, color, seen, then, params, config=config)
         expected = np.where(asked > 0.15, types.WHY_LAYERS, 0)
         np.testing.assert_array_equal(out.why, expected)

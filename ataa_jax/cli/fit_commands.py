@@ -89,9 +89,10 @@ def fit(
             raise InputError(f"{name} must be one of {', '.join(known)}, not '{value}'")
     if output.suffix.lower() != ".toml":
         raise InputError(f"--output must be a .toml file, not '{output}'")
-    from ataa_jax import cache
+    from ataa_jax import cache, files
     from ataa_jax import fit as fits
 
+    files.check_writable(output)
     fits.check_budget(budget)
     if extent is not None:
         fits.check_size(extent)

@@ -24,6 +24,7 @@ about 6 ns a miss. `occluded` does not: it would double the cost of every lit po
 import ctypes
 import hashlib
 import weakref
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -40,6 +41,7 @@ from ataa_jax.embree.workers import set_threads, threads
 __all__ = [
     "HostHits",
     "Tracer",
+    "bare_run",
     "build",
     "intersect",
     "occluded",
@@ -150,6 +152,15 @@ class Tracer:
         matrices = np.array(world_from_group, np.float32)[: self.group_count]
         matrices[0] = np.eye(3, 4, dtype=np.float32)  # group 0 is the world
         return matrices
+
+
+def bare_run(scene: types.Scene) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Returns embreex's `EmbreeScene.run` on all threads, to compare speeds with.
+
+    It takes origins and directions, float32 (n, 3), and returns the triangles of group
+    0 that they hit, −1 for none; holes of masks and what is transparent are hit too.
+    """
+    return RunBackend(scene, masks.split(scene)).bare
 
 
 def _flatten(tracer: Tracer) -> tuple[tuple[Any, Tracer | None], int]:

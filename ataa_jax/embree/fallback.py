@@ -77,6 +77,22 @@ class RunBackend:
         workers.for_chunks(rays.size, _CHUNK, work)
         return distance, triangle, barycentric
 
+    def bare(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Returns the triangles that `EmbreeScene.run` finds in group 0, as it does.
+
+        Nothing is done beyond the call: a hole of a mask is hit, a miss is a miss.
+        """
+        ids = np.full(origin.shape[0], -1, np.int32)
+        scene = self._scenes[0]
+        if scene is not None:
+
+            def work(first: int, last: int) -> None:
+                found = scene.run(origin[first:last], direction[first:last], output=1)
+                ids[first:last] = found["primID"]
+
+            workers.for_chunks(ids.size, _CHUNK, work)
+        return ids
+
     def occluded(
         self,
         world_from_group: np.ndarray,

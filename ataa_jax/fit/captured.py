@@ -20,8 +20,8 @@ from ataa_jax.fit.recording import Captured, Progress, Recorded, Recording
 
 # Rays a traced pixel, the most first: as many as a scene's recording has by default.
 _RAYS = (8, 4, 2)
-# Terms of buffers that a capture does not have, zeros in its G-buffer.
-_BLIND = ("normal", "object", "material")
+# Terms of buffers that a capture does not have.
+_BLIND = ("normal", "object", "material", "layers")
 
 
 def rays_of(captures: Sequence[Capture]) -> int:
@@ -58,8 +58,8 @@ def check_terms(terms: Iterable[str]) -> None:
     for term in terms:
         if term in _BLIND:
             raise InputError(
-                f"a capture holds no normals, objects or materials; leave '{term}' out "
-                "of the terms of its fit"
+                "a capture holds no normals, objects, materials or layers; leave "
+                f"'{term}' out of the terms of its fit"
             )
 
 

@@ -18,12 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ataa_jax import pipeline, segmentation
+from ataa_jax import cache, pipeline, segmentation
 from ataa_jax.errors import InputError
 from ataa_jax.fit import captured, optimize, score, soft, space, yardsticks
 from ataa_jax.fit.checkpoint import NOWHERE, Checkpoints
 from ataa_jax.fit.recording import Captured, Recording
-from ataa_jax.fit.replay import Take
+from ataa_jax.fit.replay import Take, replayable
 from ataa_jax.metrics import SSIM_MIN_SIZE
 
 Progress = Callable[[str, int, int], None]
@@ -305,8 +305,8 @@ def checkpoints_of(
     for each in recordings:
         for leaf in jax.tree.leaves((each.frames, each.params)):
             digest.update(np.ascontiguousarray(leaf).view(np.uint8).data)
-        digest.update(f"{each.lead_in} {each.config.raytrace.samples}".encode())
-    key = f"{digest.hexdigest()} {options} {versions()}"
+        digest.update(f"{each.lead_in} {replayable(each.config)}".encode())
+    key = f"{digest.hexdigest()} {options} {versions()} {cache.package_hash()}"
     return Checkpoints(folder=folder, key=key)
 
 

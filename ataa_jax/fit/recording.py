@@ -177,7 +177,7 @@ def _render(
     return pipeline.to_numpy(
         Recorded(
             color=drawn.color,
-            gbuffer=_with_second(drawn.gbuffer),
+            gbuffer=drawn.gbuffer,
             traced=traced.color,
             truth=jnp.asarray(truth),
             jitter=inputs.jitter,
@@ -189,17 +189,6 @@ def _render(
 def _drawing(config: pipeline.Config) -> raster.Config:
     """Returns what is drawn: all that any criterion may read."""
     return replace(config.raster, second_motion=True)
-
-
-def _with_second(gbuffer: GBuffer) -> GBuffer:
-    """Returns the buffers with zeros in the place of what no layer shows."""
-    if gbuffer.second_motion is not None:
-        return gbuffer
-    return replace(
-        gbuffer,
-        second_motion=jnp.zeros_like(gbuffer.motion),
-        second_share=jnp.zeros_like(gbuffer.depth),
-    )
 
 
 def _code_hash() -> str:

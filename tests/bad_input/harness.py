@@ -40,8 +40,8 @@ class Reader:
         self.sound = sound
         self.out = folder / "out" / "result"
         self.out.parent.mkdir(parents=True)
-        self.bait = folder / "outside" / "secret.png"
-        self.bait.parent.mkdir()
+        # Where `../secret.png` leads from the scene's folder.
+        self.bait = folder / "secret.png"
         Image.new("RGB", (4, 4)).save(self.bait)
         self.cache = folder / "cache"
         self.done = 0
@@ -86,7 +86,7 @@ class Reader:
             {
                 "words": given,
                 "bait": [
-                    os.path.realpath(self.bait.parent),
+                    os.path.realpath(self.bait),
                     "/etc/passwd",
                     "/dev/zero",
                 ],

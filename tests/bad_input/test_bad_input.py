@@ -118,6 +118,10 @@ def test_the_sound_copies_render(reader, tmp_path):
 
 def test_the_watch_notices_a_file_from_outside(reader, truck):
     # What the other tests rely on: the same process, asked to read where it must not.
-    seen = reader.run(shutil.copy(truck, reader.bait.parent / "scene.glb"))
-    _, fault = reader.verdict(seen)
+    kept = reader.bait.read_bytes()
+    try:
+        shutil.copy(truck, reader.bait)
+        _, fault = reader.verdict(reader.run(reader.bait))
+    finally:
+        reader.bait.write_bytes(kept)
     assert "opens" in fault
