@@ -118,10 +118,11 @@ def test_the_sound_copies_render(reader, tmp_path):
 
 def test_the_watch_notices_a_file_from_outside(reader, truck):
     # What the other tests rely on: the same process, asked to read where it must not.
-    kept = reader.bait.read_bytes()
+    kept, link = reader.bait.read_bytes(), reader.folder / "linked.glb"
+    link.symlink_to(reader.bait)
     try:
         shutil.copy(truck, reader.bait)
-        _, fault = reader.verdict(reader.run(reader.bait))
+        _, fault = reader.verdict(reader.run(link))
     finally:
         reader.bait.write_bytes(kept)
     assert "opens" in fault
