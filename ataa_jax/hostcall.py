@@ -15,9 +15,12 @@ which XLA promises to stay compatible: fields are added at the end only.
 
 import ctypes
 import functools
+import signal
+import threading
 import traceback
 from collections.abc import Callable
 from ctypes import POINTER, Structure, c_int, c_int64, c_size_t, c_uint32, c_void_p
+from types import FrameType
 from typing import Any
 
 import jax
@@ -204,17 +207,47 @@ def _handle(function: HostFunction, at: Any) -> int | None:
     if frame.stage != _EXECUTE:
         return None
     try:
+        if _interrupted.is_set():
+            raise KeyboardInterrupt
         operands = _arrays(frame.operands)
         for operand in operands:
             operand.flags.writeable = False
         given = function(*operands, **_numbers(frame.attributes))
         for result, value in zip(_arrays(frame.results), given, strict=True):
             np.copyto(result, value, casting="no")
+        if _interrupted.is_set():
+            raise KeyboardInterrupt
     except KeyboardInterrupt:
+        _interrupted.clear()
         return _error(frame, INTERRUPTED, _ERROR_CANCELLED)
     except BaseException:  # none may pass through XLA
         return _error(frame, traceback.format_exc(), _ERROR_INTERNAL)
     return None
+
+
+_interrupted = threading.Event()  # Ctrl-C came while XLA waited for a host function
+
+
+def _on_interrupt(number: int, frame: FrameType | None) -> None:
+    """Takes Ctrl-C: as Python does, but inside `_handle`, where it has to wait.
+
+    An exception on the way into or out of a call by XLA, where nothing can catch it,
+    would leave the call without an answer: the process then hangs or dies.
+    """
+    step = frame
+    while step is not None:
+        if step.f_code is _handle.__code__:
+            _interrupted.set()
+            return
+        step = step.f_back
+    signal.default_int_handler(number, frame)
+
+
+if (
+    threading.current_thread() is threading.main_thread()
+    and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+):
+    signal.signal(signal.SIGINT, _on_interrupt)
 
 
 def _arrays(buffers: _Buffers) -> list[np.ndarray]:

@@ -40,13 +40,13 @@ def place(tmp_path_factory):
     return folder
 
 
-def start(place: Path, name: str, out: str) -> subprocess.Popen:
+def start(place: Path, name: str, out: str, *more: str) -> subprocess.Popen:
     names = {"scene": place / "ball.glb", "out": place / out}
     words = [word.format(**names) for word in COMMANDS[name]]
     if name == "fit":  # it keeps its state beside the recordings, in the cache
         (place / out).mkdir(exist_ok=True)
     return subprocess.Popen(
-        [sys.executable, "-m", "ataa_jax.cli", *words],
+        [sys.executable, "-m", "ataa_jax.cli", *words, *more],
         env={**os.environ, "ATAA_CACHE": str(place / "cache")},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -120,11 +120,11 @@ def test_a_command_that_is_killed_often_ends_in_the_same_bytes(
 
 
 def test_ctrl_c_ends_in_a_word_and_leaves_nothing(place):
-    process = start(place, "run", "stopped")
+    process = start(place, "run", "stopped", "--frames", "2000")
     while process.poll() is None and not list(place.glob("stopped/**/latest-*.npz")):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate()
+    _, told = process.communicate(timeout=120.0)
     assert process.returncode == 130
     assert told.decode().splitlines()[-1] == "interrupted"
     assert not (place / "stopped").exists()
