@@ -9,6 +9,9 @@ buffers, results go straight into them. On other devices `jax.pure_callback` sta
 A host function is pure, takes NumPy arrays and, by keyword, whole numbers that are
 part of the program. It must not write to its operands, keep them, or call JAX.
 
+Ctrl-C that comes while a program waits for a host function is told by the program's
+error: for that, importing this module takes the place of Python's own handler of it.
+
 The records below mirror ``xla/ffi/api/c_api.h`` (version 0.3, as jaxlib ships it), to
 which XLA promises to stay compatible: fields are added at the end only.
 """
@@ -75,7 +78,8 @@ def call(
 
     Raises:
         jax.errors.JaxRuntimeError: the function raised; the text says what. Ctrl-C
-            inside it is told by `errors.INTERRUPTED`.
+            inside it is told by `errors.INTERRUPTED`. A program that has run before
+            may raise it as a ValueError.
     """
     return _call(function, results, tuple(sorted(numbers.items())), *operands)
 

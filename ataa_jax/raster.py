@@ -169,9 +169,6 @@ def _band(
 
     motion, motion_valid = motion_of(hits, surface)
     second_motion = second_share = None
-    if config.second_motion:  # without layers there is none: its share is 0
-        second_motion = jnp.zeros((*tile, 2), jnp.float32)
-        second_share = jnp.zeros(tile, jnp.float32)
     if traced.second is not None:
         beside = traced.second.hits
         surface_beside = interpolate(
@@ -179,6 +176,9 @@ def _band(
         )
         second_motion = motion_of(beside, surface_beside)[0].reshape(*tile, 2)
         second_share = traced.second.share.reshape(tile)
+    elif config.second_motion:  # without layers nothing is seen beside
+        second_motion = jnp.zeros((*tile, 2), jnp.float32)
+        second_share = jnp.zeros(tile, jnp.float32)
     normal = vector.stack(vector.select(surface.hit, surface.normal, 0.0))
     depth = jnp.where(surface.hit, hits.distance, jnp.inf)
     gbuffer = GBuffer(

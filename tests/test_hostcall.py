@@ -116,6 +116,45 @@ def test_ctrl_c_inside_a_call_is_told() -> None:
         jax.block_until_ready(jax.jit(lambda x: one(interrupted, x))(jnp.ones(2)))
 
 
+ENTERED = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import jax
+import jax.numpy as jnp
+from ataa_jax import errors, hostcall
+
+@hostcall.target
+def same(x):
+    return (x,)
+
+def stop(frame, event, _):
+    if event == "call" and frame.f_code.co_name == "_handle":
+        os.kill(os.getpid(), signal.SIGINT)
+
+shape = jax.ShapeDtypeStruct((2,), jnp.float32)
+program = jax.jit(lambda x: hostcall.call(same, (shape,), x)[0])
+jax.block_until_ready(program(jnp.ones(2)))
+sys.setprofile(stop)
+try:
+    jax.block_until_ready(program(jnp.ones(2)))
+except (jax.errors.JaxRuntimeError, ValueError) as error:
+    sys.setprofile(None)
+    assert errors.INTERRUPTED in str(error)
+    print(program(jnp.ones(2)).sum())
+"""
+
+
+def test_ctrl_c_on_the_way_into_a_call_is_told_and_nothing_hangs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ENTERED],
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "2.0\n"), done.stderr
+
+
 def test_threads_call_at_once() -> None:
     program = jax.jit(call)
     flags = jnp.zeros(4, bool)

@@ -17,6 +17,13 @@ from ataa_jax.errors import InputError
 from ataa_jax.journal import Journal
 from tests.gltf_writer import ball
 
+# Who tests in the background may have Ctrl-C ignored, for all that is started there.
+COMMAND_LINE = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from ataa_jax import cli
+sys.exit(cli.main())
+"""
 SMALL = ("--size", "48x32", "--frames", "4", "--lead-in", "2")
 TRUTH = ("--reference-samples", "4")
 COMMANDS = {
@@ -46,7 +53,7 @@ def start(place: Path, name: str, out: str, *more: str) -> subprocess.Popen:
     if name == "fit":  # it keeps its state beside the recordings, in the cache
         (place / out).mkdir(exist_ok=True)
     return subprocess.Popen(
-        [sys.executable, "-m", "ataa_jax.cli", *words, *more],
+        [sys.executable, "-c", COMMAND_LINE, *words, *more],
         env={**os.environ, "ATAA_CACHE": str(place / "cache")},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

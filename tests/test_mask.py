@@ -1,4 +1,4 @@
-"""The mask's budget, and the lists of pixels that sparse stages work on."""
+"""The packed mask, its budget, and the lists of pixels that sparse stages work on."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -54,3 +54,13 @@ def test_compaction_lists_the_pixels_in_row_major_order(size, density, seed):
     assert int(count) == len(expected)
     np.testing.assert_array_equal(indices[: len(expected)], expected)
     assert np.all(np.asarray(indices)[len(expected) :] == mask.size)
+
+
+@given(st.integers(0, 2), st.integers(0, 1 << 20))
+def test_the_mask_is_unpacked_as_packed_and_saturates(method, history):
+    mask = segmentation.pack_mask(
+        jnp.full((1, 1), method, jnp.uint32), jnp.full((1, 1), history, jnp.uint32)
+    )
+    got = segmentation.unpack_mask(mask)
+    assert int(got[0][0, 0]) == method
+    assert int(got[1][0, 0]) == min(history, 65535)

@@ -78,7 +78,7 @@ class Tracer:
 
     Attributes:
         group_count: Rigid groups it knows; `world_from_group` has at least as many.
-        backend: ``packet`` or ``run``.
+        backend: ``packet`` or ``run``; ``operand`` inside a compiled program.
         key: 64 bits of a hash of what it was built from, uint32 (2,), high word first,
             by which programs name it.
         clear: Traces the surfaces that something shows through, which this tracer

@@ -210,7 +210,7 @@ def coplanar_is_repeatable() -> float:
 TOPIC.covered(
     "a plane's depth term is its constant gradient",
     danger="a slope counts as a curve",
-    test="test_segmentation.py::test_a_planes_depth_term_is_its_constant_gradient",
+    test="test_terms.py::test_a_planes_depth_term_is_its_constant_gradient",
 )
 TOPIC.covered(
     "terms lie in [0, 1], and depths scaled by 2^±20 give the same mask",
