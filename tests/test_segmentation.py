@@ -386,7 +386,7 @@ def test_the_response_fires_where_the_taa_result_left_its_history():
 def test_what_moves_otherwise_behind_a_layer_fires():
     state, color, gbuffer, then = frame((3, 4))
     share = jnp.asarray([[0.0, 0.1, 0.3, 0.5]] * 3, jnp.float32)
-    other = gbuffer.motion + jnp.asarray([3.0, 0.0], jnp.float32)
+    other = gbuffer.motion + jnp.asarray([[[3.0, 0.0]]], jnp.float32)
     config = replace(CONFIG, use_layers=True)
     buffers = replace(gbuffer, second_motion=other, second_share=share)
     # The mean of three terms, of which two are 0 here; 3 px count for 3/4.
