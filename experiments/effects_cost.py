@@ -1,37 +1,43 @@
-"""What each effect costs: time and rays of the raster stage, leaving one out at a time.
+"""What each effect costs: time and rays of a frame, leaving one out at a time.
 
-Found: without shadows the raster stage takes 0.72 to 0.88 of its time, without
-transparency 0.43 (house) and 0.59 (Tokyo). With everything compiled in it takes 1.07 to
-1.61, and no bit of any scene changes.
+FOUND
 
-On each scene, every effect that it calls for, then without one of them, then with
-everything compiled in. Times are medians of interleaved runs at 640×360; the tracer
-runs the same code on fewer pixels. Ratios are of processor time, of all threads, which
-other work on the machine disturbs less than the clock's. An effect that the scene does
-not call for must change no bit: the column says whether forcing everything did.
+On each scene, every effect that it calls for, then without one of them, motion of the
+camera and of objects included, then with everything compiled in. The frame is the
+second of a typical walk at 640×360, with the first one's history; times are medians of
+interleaved runs, of the whole frame and of its raster stage. Ratios are of processor
+time, of all threads, which other work on the machine disturbs less than the clock's.
+Leaving an effect out changes the image, and with it the mask: the rays are those that
+the frame then asks for. An effect that the scene does not call for must change no bit
+of the raster stage's colour or the final image: the column says whether any did.
 
-    python experiments/effects_cost.py        # writes results/effects_cost.csv, .png
+    python experiments/effects_cost.py         # writes results/effects_cost.csv, .png
+    python experiments/effects_cost.py sponza  # measures this scene's rows anew
 """
 
+import csv
+import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import matplotlib as mpl
 import numpy as np
 import scenes
 
-from ataa_jax import effects, files, pipeline, raster
+from ataa_jax import effects, files, pipeline, types
 from ataa_jax import world as worlds
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-REPEATS = 15
+REPEATS = 9
 RESULTS = Path(__file__).parent / "results"
 COLUMNS = (
-    *("scene", "variant", "raster_ms", "cpu_ms", "cpu_over_all_called_for"),
-    *("shadow_rays", "reflection_rays", "layer_rays", "same_bits"),
+    *("scene", "variant", "frame_ms", "frame_cpu_ms", "frame_ratio", "raster_ms"),
+    *("raster_cpu_ms", "raster_ratio", "sparse_rays", "shadow_rays"),
+    *("reflection_rays", "layer_rays", "same_bits"),
 )
 
 
@@ -39,83 +45,138 @@ def variants(world: worlds.World) -> dict[str, worlds.World]:
     """Returns the world as it calls for, without one effect each, and with all."""
     found = {"called for": world}
     for effect in world.looked:
-        if effect.on and effect.name not in (
-            effects.CAMERA_MOTION,
-            effects.OBJECT_MOTION,
-        ):
+        if effect.on:
             wish = effects.parse(f"no-{effect.name}")
             found[f"no {effect.name}"] = worlds.wished(world, wish)
     found["everything"] = worlds.wished(world, effects.parse("all"))
     return found
 
 
-def drawing(world: worlds.World):  # noqa: ANN201 (a closure over compiled code)
-    """Returns what draws frame 1 of a typical walk."""
-    shot = scenes.shot(world)
-    config, params = pipeline.preset(
-        "tuned", world.scene, shot.size, selection=shot.effects
-    )
-    inputs = shot.inputs(1)
+class Frame:
+    """The second frame of a typical walk, ready to be drawn again and again."""
 
-    def draw() -> raster.RasterOutput:
-        out = raster.raster(
-            world.scene,
-            inputs,
-            params.raster,
-            tracer=world.tracer,
-            config=config.raster,
+    def __init__(self, world: worlds.World) -> None:
+        """Compiles the stages and draws the first frame."""
+        self.world = world
+        self.shot = scenes.shot(world)
+        self.config, self.params = pipeline.preset(
+            "tuned", world.scene, self.shot.size, selection=self.shot.effects
         )
-        return jax.block_until_ready(out)
+        self.raster_s = (0.0, 0.0)
+        self.state = pipeline.init(self.shot.size)
+        _, self.state = self.draw(0)
+        self.output, _ = self.draw(1)
 
-    return draw
+    def draw(self, index: int) -> tuple[pipeline.FrameOutput, types.State]:
+        """Draws a frame on the stored history, and waits for it."""
+        start = clocks()
+
+        def observe(stage: str, buffer: Any) -> Any:
+            if stage == "raster":
+                jax.block_until_ready(buffer)
+                self.raster_s = since(start)
+            return buffer
+
+        return jax.block_until_ready(
+            pipeline.stages(
+                self.state,
+                self.shot.inputs(index),
+                self.params,
+                scene=self.world.scene,
+                tracer=self.world.tracer,
+                config=self.config,
+                observe=observe,
+            )
+        )
+
+    def rays(self) -> list[int]:
+        """Returns sparse primary rays, and those of all stages by effect."""
+        count = self.output.statistics
+        both = jax.tree.map(jax.numpy.add, count.rays, count.raster_rays)
+        cast = (count.primary_rays, both.shadow.sum(), both.reflection, both.layer)
+        return [int(each) for each in cast]
+
+    def images(self) -> list[np.ndarray]:
+        """Returns what must not change: raster's colour and the final image."""
+        return [np.asarray(self.output.raw), np.asarray(self.output.image)]
 
 
-def measure(name: str) -> list[list[str]]:
+def clocks() -> tuple[float, float]:
+    """Returns the time, and the processor time of all threads, in seconds."""
+    return time.perf_counter(), time.process_time()
+
+
+def since(start: tuple[float, float]) -> tuple[float, float]:
+    """Returns what passed on both clocks."""
+    now = clocks()
+    return now[0] - start[0], now[1] - start[1]
+
+
+def measure(name: str) -> list[tuple[str, ...]]:
     """Returns the rows of one scene."""
-    draws = {key: drawing(w) for key, w in variants(scenes.load(name)).items()}
-    outputs = {key: draw() for key, draw in draws.items()}  # compiles
-    times: dict[str, list[tuple[float, float]]] = {key: [] for key in draws}
+    frames = {key: Frame(world) for key, world in variants(scenes.load(name)).items()}
+    # Of each variant and run: whole frame and raster stage, both clocks.
+    times: dict[str, list[tuple[float, ...]]] = {key: [] for key in frames}
     for _ in range(REPEATS):
-        for key, draw in draws.items():
-            start, busy = time.perf_counter(), time.process_time()
-            draw()
-            passed = time.perf_counter() - start, time.process_time() - busy
-            times[key].append((1e3 * passed[0], 1e3 * passed[1]))
-    _, base = np.median(times["called for"], axis=0)
-    expected = np.asarray(outputs["called for"].color)
+        for key, frame in frames.items():
+            start = clocks()
+            frame.draw(1)
+            times[key].append((*since(start), *frame.raster_s))
+    medians = {key: 1e3 * np.median(runs, axis=0) for key, runs in times.items()}
+    base, expected = medians["called for"], frames["called for"].images()
     rows = []
-    for key, out in outputs.items():
-        ms, cpu = np.median(times[key], axis=0)
-        same = bool(np.array_equal(np.asarray(out.color), expected))
-        rays = (np.sum(out.rays.shadow), out.rays.reflection, out.rays.layer)
-        cells = [f"{ms:.1f}", f"{cpu:.1f}", f"{cpu / base:.3f}"]
-        cells += [str(int(count)) for count in rays]
-        rows.append([name, key, *cells, "yes" if same else "no"])
+    for key, frame in frames.items():
+        ms, cpu, raster_ms, raster_cpu = medians[key]
+        same = all(map(np.array_equal, frame.images(), expected))
+        cells = [f"{ms:.1f}", f"{cpu:.1f}", f"{cpu / base[1]:.3f}"]
+        cells += [f"{raster_ms:.1f}", f"{raster_cpu:.1f}"]
+        cells += [f"{raster_cpu / base[3]:.3f}", *map(str, frame.rays())]
+        rows.append((name, key, *cells, "yes" if same else "no"))
         print(*rows[-1], flush=True)
     return rows
 
 
-def plot(rows: list[list[str]], file: Path) -> None:
+def stored(names: list[str]) -> list[tuple[str, ...]]:
+    """Returns the table's rows of other scenes than these."""
+    file = RESULTS / "effects_cost.csv"
+    if not file.is_file():
+        return []
+    with file.open(encoding="utf-8", newline="") as lines:
+        rows = [tuple(row) for row in csv.reader(lines)][1:]
+    return [row for row in rows if row[0] not in names]
+
+
+def plot(rows: list[tuple[str, ...]], file: Path) -> None:
     """Draws the time of each variant as a share of all called-for effects' time."""
     names = list(dict.fromkeys(row[0] for row in rows))
     figure, axes = plt.subplots(
-        1, len(names), figsize=(3.2 * len(names), 3.4), sharex=True, squeeze=False
+        1, len(names), figsize=(3.2 * len(names), 4), sharex=True, squeeze=False
     )
     for axis, name in zip(axes[0], names, strict=True):
         own = [row for row in rows if row[0] == name][::-1]
-        axis.barh([row[1] for row in own], [float(row[4]) for row in own])
+        place = np.arange(len(own))
+        for column, label, shift in ((4, "frame", 0.2), (7, "raster stage", -0.2)):
+            ratio = [float(row[column]) for row in own]
+            axis.barh(place + shift, ratio, 0.4, label=label)
+        axis.set_yticks(place, [row[1] for row in own])
         axis.axvline(1.0, color="0.4", linewidth=0.8)
         axis.set_title(name)
         axis.tick_params(labelsize=7)
         axis.set_xlabel("processor time, all called for = 1", fontsize=8)
+    axes[0, 0].legend(fontsize=7, loc="lower left")
     figure.tight_layout()
-    figure.savefig(file, dpi=110)
+    figure.savefig(file, dpi=100, metadata={"Software": None})
+    plt.close(figure)
 
 
 def main() -> None:
     """Measures and writes the table and the plot."""
-    rows = [row for name in scenes.available() for row in measure(name)]
-    files.write_csv(RESULTS / "effects_cost.csv", COLUMNS, [tuple(r) for r in rows])
+    names = sys.argv[1:] or scenes.available()
+    rows = stored(names)
+    for name in names:
+        rows += measure(name)
+        files.write_csv(RESULTS / "effects_cost.csv", COLUMNS, rows)
+        jax.clear_caches()
     plot(rows, RESULTS / "effects_cost.png")
 
 

@@ -9,11 +9,11 @@ error rises in five of twelve settings. "pixel" does not help on Sponza (SSIM �
 TAA at 0.5 rays a pixel, where 76 to 92 % of a halo of 0.012 to 0.018 stay.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
-("pixel"), or their whole share of it ("sample"); see `raytrace.Config.footprint`, whose
-default takes half of the share (`ray_footprint.py`). A typical
-walk at 320×180 against 64 samples a pixel at mip level 0, with a budget of 0.5 sparse
-rays a pixel and without one; with the tuned TAA, whose raster textures are sharpened by
-a mip bias of −2, and with UE4's at bias 0, the paper's case.
+("pixel"), or their whole share of it ("sample"), or half of that, the default ("half
+sample"); see `raytrace.Config.footprint`, and `ray_footprint.py` for the half. A
+typical walk at 320×180 against 64 samples a pixel at mip level 0, with a budget of 0.5
+sparse rays a pixel and without one; with the tuned TAA, whose raster textures are
+sharpened by a mip bias of −2, and with UE4's at bias 0, the paper's case.
 
 A *seam pixel* is traced, with a pixel of TAA's within 2 px of it (5×5); its *step* is
 the mean luma of the traced pixels in its 5×5 less that of TAA's there, in sRGB.
@@ -43,7 +43,13 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
-FOOTPRINTS = ("level0", "pixel", "sample")
+# What the rays read: `raytrace.Config.footprint`, and its scale.
+FOOTPRINTS = {
+    "level0": ("level0", 1.0),
+    "pixel": ("pixel", 1.0),
+    "sample": ("sample", 1.0),
+    "half sample": ("sample", 0.5),  # the default
+}
 BUDGETS = (0.5, float("inf"))
 # TAA → the preset that has it under the paper's criteria.
 TAAS = {"tuned": "paper", "ue4": "ue4"}
@@ -95,10 +101,10 @@ def measure(walk: walks.Walk, budget: float) -> dict[str, dict[str, float]]:
     """Returns every footprint's scores."""
     params = pipeline.with_budget(walk.params, budget)
     runs = {}
-    for footprint in FOOTPRINTS:
-        rays = replace(walk.config.raytrace, footprint=footprint, footprint_scale=1.0)
+    for name, (footprint, scale) in FOOTPRINTS.items():
+        rays = replace(walk.config.raytrace, footprint=footprint, footprint_scale=scale)
         config = replace(walk.config, raytrace=rays)
-        runs[footprint] = list(walks.antialias(walk, config, params))
+        runs[name] = list(walks.antialias(walk, config, params))
     methods = np.stack(
         [[np.asarray(o.segmentation.mask) & 0xFFFF for o in r] for r in runs.values()]
     )
@@ -131,7 +137,8 @@ def plot(table: list[tuple], file: Path) -> None:
             y = np.array([row[4][column] for row in table if row[3] == footprint])
             if column == "ssim":
                 y -= [row[4][column] for row in table if row[3] == "level0"]
-            axis.bar(np.arange(len(y)) + 0.27 * (number - 1), y, 0.27, label=footprint)
+            x = np.arange(len(y)) + 0.2 * (number - 1.5)
+            axis.bar(x, y, 0.2, label=footprint)
         axis.set_xticks(range(len(names)), names, fontsize=6)
         title = "ssim less level0's" if column == "ssim" else column
         axis.set_title(title.replace("_", " "))
