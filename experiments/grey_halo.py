@@ -128,15 +128,16 @@ def measure(walk: walks.Walk, budget: float) -> dict[str, dict[str, float]]:
 def plot(table: list[tuple], file: Path) -> None:
     """Draws four measures, a group of bars per scene, TAA and budget."""
     keys = list(dict.fromkeys(row[:3] for row in table))
+    values = {row[:4]: row[4] for row in table}
     names = [f"{s}\n{p}\n{b:g}".replace("inf", "no cap") for s, p, b in keys]
     figure, axes = plt.subplots(2, 2, figsize=(13, 8))
     for axis, column in zip(
         axes.flat, ("ssim", "traced_mse", "step_error", "halo"), strict=True
     ):
         for number, footprint in enumerate(FOOTPRINTS):
-            y = np.array([row[4][column] for row in table if row[3] == footprint])
+            y = [values.get((*key, footprint), {}).get(column, np.nan) for key in keys]
             if column == "ssim":
-                y -= [row[4][column] for row in table if row[3] == "level0"]
+                y = np.subtract(y, [values[*key, "level0"][column] for key in keys])
             x = np.arange(len(y)) + 0.2 * (number - 1.5)
             axis.bar(x, y, 0.2, label=footprint)
         axis.set_xticks(range(len(names)), names, fontsize=6)

@@ -1,7 +1,8 @@
 """Do hard cases stay numerically stable? One row a case: measured, bound, verdict.
 
 The cases are those of `tests/hard_cases`: a row that is measured calls the function
-that the test calls; a row that another test holds runs that test.
+that the test calls; a row that another test holds runs that test, whose asserts are
+the bound. Each row tells the command, the date and the versions it came from.
 
     python experiments/hard_cases.py                   # writes results/hard_cases.csv
     python experiments/hard_cases.py --only mirror   # these anew, the rest as read
@@ -9,6 +10,7 @@ that the test calls; a row that another test holds runs that test.
 
 import argparse
 import csv
+import datetime
 import subprocess
 import sys
 import tempfile
@@ -16,6 +18,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import jax
+import versions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -25,18 +28,27 @@ from tests.hard_cases.topics import TOPICS
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = (
     *("topic", "case", "what could break", "measured", "value", "bound", "verdict"),
-    "reason",
+    *("reason", "command", "date", "versions"),
 )
 
 
 def measured(topic: str, case: Case) -> list[str]:
-    """Returns the row of a case that is measured here."""
+    """Returns the cells of a case that is measured here, up to its reason."""
     value = case.measure()
     sign = "≥" if case.at_least else "≤"
     verdict = "holds" if case.holds(value) else "fails"
     return [
         *(topic, case.name, case.danger, case.quantity, f"{value:.3g}"),
         *(f"{sign} {case.bound:.3g}", verdict, case.reason),
+    ]
+
+
+def covered(topic: str, row: Covered, *, passed: bool) -> list[str]:
+    """Returns the cells of a property that another test holds, up to its reason."""
+    value, verdict = ("passes", "holds") if passed else ("fails", "fails")
+    return [
+        *(topic, row.name, row.danger, row.test, value),
+        *(row.bound, verdict, row.reason),
     ]
 
 
@@ -83,17 +95,19 @@ def main() -> None:
         [row.test for (_, row), now in zip(rows, chosen, strict=True)
          if now and isinstance(row, Covered)]
     )  # fmt: skip
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    command = " ".join(["python experiments/hard_cases.py", *sys.argv[1:]])
+    installed = versions.here()
     table = []
     for (topic, row), now in zip(rows, chosen, strict=True):
         if not now:
             table += [kept[row.name]] if row.name in kept else []
             continue
         if isinstance(row, Covered):
-            verdict = "holds" if passed.get(row.test) else "fails"
-            cells = [topic, row.name, row.danger, row.test, "", "", verdict, ""]
+            cells = covered(topic, row, passed=passed.get(row.test, False))
         else:
             cells = measured(topic, row)
-        table.append(cells)
+        table.append([*cells, command, today, installed])
         print(" | ".join(cells[:2] + cells[4:7]), flush=True)
     held = sum(row[6] == "holds" for row in table)
     print(f"{held} of {len(table)} rows hold")
@@ -105,11 +119,14 @@ def main() -> None:
 
 
 def read(file: Path) -> dict[str, list[str]]:
-    """Returns the rows of an earlier table by their case."""
+    """Returns the rows of an earlier table by their case; a missing column is empty."""
     if not file.is_file():
         return {}
     with file.open(newline="") as stream:
-        return {row[1]: row for row in csv.reader(stream)}
+        return {
+            row["case"]: [row.get(column) or "" for column in COLUMNS]
+            for row in csv.DictReader(stream)
+        }
 
 
 if __name__ == "__main__":

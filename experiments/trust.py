@@ -9,8 +9,6 @@ test states its bound; the table tells what each did, and how it ended.
 """
 
 import datetime
-import importlib.metadata
-import platform
 import subprocess
 import sys
 import tempfile
@@ -19,18 +17,15 @@ import xml.etree.ElementTree as Tree
 from pathlib import Path
 
 import tomli_w
+import versions
 
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).parent / "results" / "trust.toml"
-VERSIONS = ("ataa-jax", "embreex", "jax", "jaxlib", "numpy", "pillow", "trimesh")
 
 
 def rows(report: Path) -> list[dict[str, object]]:
     """Returns one row a test of a JUnit report: what it did, its end, its seconds."""
     found = []
-    parts = [f"python {platform.python_version()}"]
-    parts += [f"{name} {importlib.metadata.version(name)}" for name in VERSIONS]
-    versions = ", ".join(parts)
     for case in Tree.parse(report).iter("testcase"):
         ends = {each.tag for each in case} - {"properties", "system-out", "system-err"}
         did = {
@@ -41,7 +36,7 @@ def rows(report: Path) -> list[dict[str, object]]:
             {
                 "test": f"{case.get('classname')}.{case.get('name')}",
                 "date": datetime.datetime.now(datetime.UTC).date(),
-                "versions": versions,
+                "versions": versions.here(),
                 "end": ", ".join(sorted(ends)) or "passed",
                 "seconds": round(float(case.get("time", 0.0))),
                 "did": did,

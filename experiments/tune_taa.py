@@ -23,8 +23,8 @@ from ataa_jax import color as colors
 from ataa_jax import metrics, pipeline, raster, reference, sampling, taa
 from ataa_jax import world as worlds
 
-WEIGHTS = (0.1, 0.2, 0.3)
-MIP_BIASES = (0.0, -1.0, -2.0)
+WEIGHTS = (0.1, 0.2, 0.3, 0.4, 0.5)
+MIP_BIASES = (0.0, -1.0, -2.0, -3.0, -16.0)  # the last is mip level 0 everywhere
 FILTERS = ("bilinear", "catmull_rom")
 RECTIFIERS = (
     ("none", 1.0),
@@ -149,6 +149,12 @@ def write(table: dict[tuple[float, str], dict[str, float]]) -> None:
             writer.writerow([bias, *label.split(","), f"{mean:.5f}", *values])
     bias, label = rows[0][0]
     print(f"best: mip bias {bias}, {label}")
+    for name, value, values in (
+        ("mip bias", bias, MIP_BIASES),
+        ("weight", float(label.split(",")[0]), WEIGHTS),
+    ):
+        if value in (min(values), max(values)):
+            print(f"the best {name}, {value}, lies at the end of its range {values}")
 
 
 if __name__ == "__main__":

@@ -147,14 +147,22 @@ def test_the_budget_is_kept_and_the_overflow_reported(world):
 def test_a_cut_forgets_everything(world):
     shot = worlds.sequence(world, paths.CameraPath(), SIZE)
     config, params = pipeline.preset("tuned", world.scene, SIZE)
-    state = pipeline.init(SIZE)
-    for index in range(3):
-        inputs = pipeline.with_cut(shot.inputs(index), index == 2)
-        output, state = pipeline.frame(
+    first = state = pipeline.init(SIZE)
+
+    def frame(state, inputs):
+        return pipeline.frame(
             state, inputs, params,
             scene=world.scene, tracer=world.tracer, config=config,
         )  # fmt: skip
+
+    for index in range(2):
+        _, state = frame(state, shot.inputs(index))
+    inputs = pipeline.with_cut(shot.inputs(2), True)
+    output, state = frame(state, inputs)
     assert np.all(methods(output) == types.METHOD_FXAA)
+    fresh, fresh_state = frame(first, inputs)
+    np.testing.assert_array_equal(output.image, fresh.image)
+    jax.tree.map(np.testing.assert_array_equal, state, fresh_state)
 
 
 def test_same_inputs_same_bits(world):

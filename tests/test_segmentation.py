@@ -337,7 +337,7 @@ def test_criteria_that_are_off_are_not_in_the_program():
     jax.tree.map(np.testing.assert_array_equal, *results)
 
 
-def test_bad_radiance_leaves_the_terms_finite():
+def test_bad_radiance_and_depth_leave_the_score_finite():
     state, color, gbuffer, then = frame((4, 5))
     color = color.at[1, 1].set(jnp.nan).at[2, 2].set(jnp.inf).at[3, 3].set(-1.0)
     depth = gbuffer.depth.at[0, 0].set(jnp.nan).at[1, 0].set(0.0).at[2, 0].set(-1.0)

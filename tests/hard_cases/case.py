@@ -33,6 +33,8 @@ class Covered:
     name: str
     danger: str
     test: str  # as pytest names it, under tests/: "test_taa.py::test_…"
+    bound: str  # what the test asserts, with its numbers; atol and rtol as NumPy's
+    reason: str  # why this bound
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,13 @@ class Topic:
 
         return add
 
-    def covered(self, name: str, *, danger: str, test: str) -> None:
+    def covered(
+        self, name: str, *, danger: str, test: str, bound: str, reason: str
+    ) -> None:
         """Gives a row to a property that another test holds."""
-        self.rows.append(Covered(name, danger, test))
+        self.rows.append(
+            Covered(name=name, danger=danger, test=test, bound=bound, reason=reason)
+        )
 
     @property
     def cases(self) -> list[Case]:

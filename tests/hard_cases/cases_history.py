@@ -385,12 +385,16 @@ def equal_history() -> float:
 
 
 TOPIC.covered(
-    "bad values in TAA's own inputs are gone within the frame, every choice",
+    "bad values in TAA's colours and counts are gone within the frame",
     danger="a filter or rectifier that lets NaN through",
-    test="test_taa.py::test_bad_values_are_gone_within_the_frame_and_do_not_spread",
+    test="test_taa.py::test_bad_values_are_gone_within_the_frame",
+    bound="colours and counts finite and ≥ 0; 20 drawn frames, seven configurations",
+    reason="a value is sanitized where it is read; one survivor would be fed back",
 )
 TOPIC.covered(
     "the first frame is the current frame whatever the history holds",
     danger="NaN · 0 of an unused history",
     test="test_taa.py::test_the_first_frame_is_the_current_frame",
+    bound="bit-equal; count 1, no pixel valid",
+    reason="an unused history is selected away, not weighted by 0",
 )

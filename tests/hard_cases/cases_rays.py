@@ -360,43 +360,55 @@ def _panes(scene, clear, origin, direction, far=np.inf) -> np.ndarray:
     return count
 
 
-for name, danger, test in (
-    (
-        "no ray leaves a closed mesh at edges or vertices, both ways to Embree",
-        "cracks between triangles",
-        "test_embree_backends.py::test_no_ray_leaves_a_closed_mesh",
-    ),
-    (
-        "shadow rays leave a closed mesh at vertices only, under 2 %",
-        "cracks between triangles",
-        "test_embree_backends.py::"
-        "test_shadow_rays_leave_a_closed_mesh_at_vertices_only",
-    ),
-    (
-        "directions with components of 0, rays in planes and from corners agree",
-        "0 · inf in a box test",
-        "test_embree_backends.py::test_backends_agree_where_everything_is_degenerate",
-    ),
-    (
-        "triangles without area or not finite are left out and counted",
-        "a NaN in the hierarchy's boxes loses its neighbours",
-        "test_scene.py::"
-        "test_triangles_without_area_or_not_finite_are_left_out_and_counted",
-    ),
-    (
-        "rays that are not finite or have no direction miss",
-        "a NaN ray spoils its packet",
-        "test_embree.py::test_rays_that_are_not_finite_or_have_no_direction_miss",
-    ),
-    (
-        "64 layers composite as 64 layers",
-        "rounding adds up; the loop's limit",
-        "test_transport.py::test_sixty_four_layers_deep",
-    ),
-    (
-        "a ray passes a hundred holes of an alpha mask",
-        "a limit of filtered hits",
-        "test_embree_masks.py::test_a_ray_passes_a_hundred_holes",
-    ),
-):
-    TOPIC.covered(name, danger=danger, test=test)
+TOPIC.covered(
+    "no ray leaves a closed mesh at edges or vertices, both ways to Embree",
+    danger="cracks between triangles",
+    test="test_embree_backends.py::test_no_ray_leaves_a_closed_mesh",
+    bound="0 of 200,000 rays miss",
+    reason="one ray through a crack is a hole in the image",
+)
+TOPIC.covered(
+    "shadow rays leave a closed mesh at vertices only, under 2 %",
+    danger="cracks between triangles",
+    test="test_embree_backends.py::"
+    "test_shadow_rays_leave_a_closed_mesh_at_vertices_only",
+    bound="0 of 200,000 unblocked at edges, < 0.02 · 200,000 at vertices",
+    reason="aimed at vertices, 0.9 % slip through",
+)
+TOPIC.covered(
+    "directions with components of 0, rays in planes and from corners agree",
+    danger="0 · inf in a box test",
+    test="test_embree_backends.py::test_backends_agree_where_everything_is_degenerate",
+    bound="distances rtol 16 · 2⁻²³, > 0 and not NaN",
+    reason="the fallback restarts rays that begin on a surface, 8 ulps further on",
+)
+TOPIC.covered(
+    "triangles without area or not finite are left out and counted",
+    danger="a NaN in the hierarchy's boxes loses its neighbours",
+    test="test_scene.py::"
+    "test_triangles_without_area_or_not_finite_are_left_out_and_counted",
+    bound="1 of 4 left, bit-equal; 3 in the note; an error if none is left",
+    reason="what is whole passes unchanged, what is lost is told",
+)
+TOPIC.covered(
+    "rays that are not finite or have no direction miss",
+    danger="a NaN ray spoils its packet",
+    test="test_embree.py::test_rays_that_are_not_finite_or_have_no_direction_miss",
+    bound="19 of 19 rays miss, 0 of 19 are blocked",
+    reason="such a ray has no point that could be hit",
+)
+TOPIC.covered(
+    "64 layers composite as 64 layers",
+    danger="rounding adds up; the loop's limit",
+    test="test_transport.py::test_sixty_four_layers_deep",
+    bound="atol 5e-6, rtol 1e-7",
+    reason="64 roundings of 6e-8 each, on values of order 1",
+)
+TOPIC.covered(
+    "a ray passes a hundred holes of an alpha mask",
+    danger="a limit of filtered hits",
+    test="test_embree_masks.py::test_a_ray_passes_a_hundred_holes",
+    bound="64 of 64 rays reach the wall; distance rtol 4 · 2⁻²³, fallback 400 · 2⁻²³",
+    reason="one ray rounds once; restarted a hundred times, each start rounds its "
+    "point",
+)

@@ -97,19 +97,27 @@ TOPIC.covered(
     "no motion reads the history bit by bit, with every filter and averaging space",
     danger="filters blur a still image a little every frame",
     test="test_taa.py::test_a_motion_of_whole_pixels_reads_the_history_bit_by_bit",
+    bound="bit-equal at motions of (0, 0), (2, −3) and (−1, 1) px",
+    reason="at whole pixels the texel itself is handed on, unfiltered",
 )
 TOPIC.covered(
     "where nothing moved motion vectors are exactly zero",
     danger="rounding of two projections makes ghosts of motion",
     test="test_raster_oracle.py::test_motion_is_exactly_zero_where_nothing_moved",
+    bound="motion = 0 where still, ≠ 0 where not, pixels near an edge left out",
+    reason="equal poses must cancel, not nearly cancel",
 )
 TOPIC.covered(
     "a cut forgets everything",
     danger="the frame before the cut shines through",
     test="test_pipeline.py::test_a_cut_forgets_everything",
+    bound="image and state bit-equal to those of a first frame, every pixel FXAA's",
+    reason="what is forgotten cannot show",
 )
 TOPIC.covered(
     "a view of sky only is averaged like any other",
     danger="infinite depth in the search for the nearest surface",
     test="test_taa.py::test_a_view_of_sky_only_is_averaged_like_any_other",
+    bound="colour bit-equal to a wall's, every pixel valid",
+    reason="depth picks the motion that is read, and enters no sum",
 )

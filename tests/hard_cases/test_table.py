@@ -16,8 +16,13 @@ def test_no_property_is_claimed_twice():
 
 def test_every_row_says_what_could_break_and_every_bound_has_its_reason():
     for topic in TOPICS:
-        assert all(row.danger for row in topic.rows)
-        assert all(case.quantity and case.reason for case in topic.cases)
+        assert all(row.danger and row.reason for row in topic.rows)
+        assert all(case.quantity for case in topic.cases)
+
+
+def test_every_row_that_another_test_holds_says_what_the_test_asserts():
+    for topic in TOPICS:
+        assert all(row.bound for row in topic.rows if isinstance(row, Covered))
 
 
 def test_a_test_that_a_row_names_exists():
