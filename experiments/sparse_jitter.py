@@ -8,7 +8,7 @@ above the 0.904 of 8 rays that replace, and there jitter adds 0.017 to a still i
 2 rays, 0.0007 to one of 8, and next to nothing in motion.
 
 The n-rooks pattern of the traced pixels stands still (the paper), or moves with the
-frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2 and 8
+frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2, 4 and 8
 rays a traced pixel at 0.5 rays a pixel, a typical walk and a still camera at 320×180,
 against 64 samples a pixel. A traced colour replaces the history (the paper's resolve),
 or ("kept") joins it by weight as TAA's samples do, so that jittered rays add up:
@@ -35,7 +35,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
-COUNTS = (2, 8)
+COUNTS = (2, 4, 8)
 COLUMNS = ("ssim", "mse", "flicker", "rays")
 VARIANTS = {  # name: (jitter, kept)
     "fixed": (False, False),
