@@ -1,7 +1,10 @@
 """Tracing from JAX: jit, vmap, gradients, and the life of a tracer."""
 
 import gc
+import subprocess
+import sys
 import weakref
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -148,3 +151,40 @@ def test_rays_to_a_scene_that_was_freed_are_an_error():
     origin, direction = (jnp.asarray(a) for a in down([0.0], [0.0]))
     with pytest.raises(jax.errors.JaxRuntimeError, match="was freed"):
         embree.intersect(keys, jnp.asarray(tiny.still()), origin, direction)
+
+
+LET_GO = """
+import gc
+import jax
+import jax.numpy as jnp
+busy = jnp.ones(200_000)  # makes JAX's client before the package can ask for another
+from ataa_jax import embree
+from tests import tiny, tracing
+
+@jax.jit
+def distance(tracer, origin, direction):
+    late = jax.lax.fori_loop(0, 200, lambda _, x: jnp.sin(x) + 1e-3, busy)
+    origin += 0.0 * jnp.mean(late)
+    return embree.intersect(tracer, jnp.asarray(tiny.still()), origin, direction)
+
+origin, direction = map(jnp.asarray, tracing.down([0.1], [0.2], height=3.0))
+for height in (0.0, 1.0):
+    tracer = embree.build(tiny.scene([tiny.floor(height=height)]))
+    hits = distance(tracer, origin, direction)
+    del tracer
+    gc.collect()
+    assert not hits.distance.is_ready(), "it ran at once: nothing was shown"
+    assert hits.distance[0] == 3.0 - height
+del hits
+gc.collect()
+embree.holding.sweep()
+assert len(embree.holding._held) == 0
+"""
+
+
+def test_a_program_under_way_keeps_a_tracer_that_its_owner_let_go():
+    done = subprocess.run(
+        [sys.executable, "-c", LET_GO],
+        cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

@@ -21,6 +21,7 @@ a missed ray once more, turned by 16 ulps, and then none of them leaves; that co
 about 6 ns a miss. `occluded` does not: it would double the cost of every lit point.
 """
 
+import copy
 import ctypes
 import hashlib
 import weakref
@@ -33,7 +34,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ataa_jax import cache, errors, hostcall, types
-from ataa_jax.embree import library, masks
+from ataa_jax.embree import holding, library, masks
 from ataa_jax.embree.fallback import RunBackend
 from ataa_jax.embree.packets import PacketBackend
 from ataa_jax.embree.workers import set_threads, threads
@@ -64,7 +65,7 @@ class HostHits(NamedTuple):
     barycentric: np.ndarray  # float32 (n, 2), weights of corners 1 and 2
 
 
-# Tracers by their keys, as long as someone holds them.
+# What `build` returned, by its key, as long as someone holds it.
 _living: "weakref.WeakValueDictionary[int, Tracer]" = weakref.WeakValueDictionary()
 
 
@@ -72,9 +73,9 @@ class Tracer:
     """A scene's geometry inside Embree.
 
     A pytree whose leaves are keys: a compiled program is given a tracer like any other
-    operand, so scenes of equal shapes share it. The memory is Embree's own and is freed
-    with the object that `build` returned: keep that while programs run. Any number of
-    threads may use it.
+    operand, so scenes of equal shapes share it. The memory is Embree's own. It goes
+    with the object that `build` returned or, if programs are under way then, at a
+    `build` after they have ended. Any number of threads may use it.
 
     Attributes:
         group_count: Rigid groups it knows; `world_from_group` has at least as many.
@@ -99,6 +100,7 @@ class Tracer:
         self.clear = clear
         self._way = way
         _living[key] = self
+        holding.hold(key, copy.copy(self), owner=self)
 
     def __repr__(self) -> str:
         return f"Tracer(backend={self.backend!r}, group_count={self.group_count})"
@@ -215,6 +217,7 @@ def build(
     _check_ids(scene)
     parts = (scene.geometry, scene.materials, scene.textures)
     content = f"{cache.content_hash(parts)} {clib is not None} {device_config}"
+    holding.sweep()
     if (found := _living.get(_key(content))) is not None:
         return found
     return _build(scene, clib, device_config, content)
@@ -340,7 +343,7 @@ def _numbers(tile: tuple[int, int] | None, coherent: bool) -> dict[str, int]:
 
 def _named(key: np.ndarray) -> Tracer:
     high, low = (int(word) for word in key)
-    if (found := _living.get(high << 32 | low)) is None:
+    if (found := holding.find(high << 32 | low)) is None:
         raise RuntimeError("the tracer of this scene was freed before its rays ran")
     return found
 
