@@ -1,6 +1,11 @@
 """What each effect costs: time and rays of a frame, leaving one out at a time.
 
-FOUND
+Found: without shadows a frame takes 0.72 to 0.92 of its processor time, without
+transparency 0.49 (house) and 0.67 (Tokyo). With the camera at rest it takes 0.63 to
+0.84, since hardly a pixel asks for rays then; the motion vectors themselves cost less
+than the scatter of the ratios, some 0.1 (0.97 to 1.12 of the raster stage without
+them). With everything compiled in a frame takes 1.03 to 1.31, its raster stage 1.06 to
+1.55, and no bit of any scene changes.
 
 On each scene, every effect that it calls for, then without one of them, motion of the
 camera and of objects included, then with everything compiled in. The frame is the
@@ -149,10 +154,13 @@ def stored(names: list[str]) -> list[tuple[str, ...]]:
 def plot(rows: list[tuple[str, ...]], file: Path) -> None:
     """Draws the time of each variant as a share of all called-for effects' time."""
     names = list(dict.fromkeys(row[0] for row in rows))
+    lines = -(-len(names) // 3)
     figure, axes = plt.subplots(
-        1, len(names), figsize=(3.2 * len(names), 4), sharex=True, squeeze=False
+        lines, 3, figsize=(11, 4 * lines), sharex=True, squeeze=False
     )
-    for axis, name in zip(axes[0], names, strict=True):
+    for axis in axes.flat[len(names) :]:
+        axis.remove()
+    for axis, name in zip(axes.flat, names, strict=False):
         own = [row for row in rows if row[0] == name][::-1]
         place = np.arange(len(own))
         for column, label, shift in ((4, "frame", 0.2), (7, "raster stage", -0.2)):
@@ -163,8 +171,8 @@ def plot(rows: list[tuple[str, ...]], file: Path) -> None:
         axis.set_title(name)
         axis.tick_params(labelsize=7)
         axis.set_xlabel("processor time, all called for = 1", fontsize=8)
-    axes[0, 0].legend(fontsize=7, loc="lower left")
-    figure.tight_layout()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="upper left")
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
     figure.savefig(file, dpi=100, metadata={"Software": None})
     plt.close(figure)
 

@@ -1,5 +1,6 @@
 """A killed command goes on where it was killed, and ends in the same bytes."""
 
+import json
 import os
 import random
 import shutil
@@ -88,12 +89,33 @@ def undisturbed(place: Path, name: str) -> tuple[dict[str, bytes], float]:
     return result(place / f"{name}-calm"), seconds
 
 
+def finished(place: Path, out: Path) -> dict[Path, int]:
+    """Returns what no restart may do again: files of finished work, and their times.
+
+    Whole files in the cache, and those of the steps that the journal names, by where
+    they lie under `out` in the end.
+    """
+    kept = ("exposure", "record", "reference")
+    found = {f: f for kind in kept for f in (place / "cache" / kind).rglob("*.npz")}
+    growing = out / ".ataa-partial"
+    journal = growing / files.JOURNAL / "entry.json"
+    step = json.loads(journal.read_text())["step"] if journal.is_file() else None
+    for file in growing.glob("*/*.*"):
+        number = file.stem.removeprefix("step-")
+        if step is not None and number.lstrip("-").isdigit() and int(number) <= step:
+            found[out / file.relative_to(growing)] = file
+    if not growing.is_dir():
+        found |= {file: file for file in out.glob("*/*.*")}
+    return {name: file.stat().st_mtime_ns for name, file in found.items()}
+
+
 def killed(place: Path, name: str, kills: int, seed: int) -> int:
     """Kills a command at random moments; returns how often it was still alive."""
     expected, seconds = undisturbed(place, name)
     forget(place)
     draw = random.Random(seed)
-    met = 0
+    out = place / f"{name}-killed"
+    met, before = 0, {}
     for _ in range(4 * kills):  # some end before they are killed
         if met == kills:
             break
@@ -102,14 +124,24 @@ def killed(place: Path, name: str, kills: int, seed: int) -> int:
         process.send_signal(signal.SIGKILL)
         process.communicate()
         met += process.returncode == -signal.SIGKILL
+        before = untouched(before, finished(place, out))
         if process.returncode == 0:  # it was faster: the next one begins anew
             assert result(place / f"{name}-killed") == expected
             forget(place)
+            before = {}
     process = start(place, name, f"{name}-killed")
     _, told = process.communicate()
     assert process.returncode == 0, told
+    untouched(before, finished(place, out))
     assert result(place / f"{name}-killed") == expected
     return met
+
+
+def untouched(before: dict[Path, int], after: dict[Path, int]) -> dict[Path, int]:
+    """Holds that what was finished was not done again; returns what now is."""
+    again = [file for file, at in before.items() if after.get(file, at) != at]
+    assert not again
+    return after
 
 
 def test_a_command_that_is_killed_thrice_ends_in_the_same_bytes(place):
