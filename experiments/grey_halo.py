@@ -1,12 +1,13 @@
 """The paper's grey halo: what should a sparse ray read of a texture?
 
 Found: traced pixels beside TAA's are too dark at level 0 (by 0.002 to 0.004 of luma
-with the tuned TAA), and "sample" has the better SSIM, lower flicker, less error in
-traced pixels and a weaker halo than level 0 on all three scenes, both budgets and both
-TAAs, though the gain in SSIM is small (0.0002 to 0.0043) and the whole image's squared
-error rises in five of twelve settings. "pixel" does not help on Sponza (SSIM −0.004 to
-−0.017) nor on the built-in scene without a budget, and "sample" helps little with UE4's
-TAA at 0.5 rays a pixel, where 76 to 92 % of a halo of 0.012 to 0.018 stay.
+with the tuned TAA, 0.012 to 0.018 with UE4's at 0.5 rays a pixel). "half sample", the
+default, has the better SSIM (by 0.0005 to 0.0060), squared error, flicker, error in
+traced pixels and seam error than level 0, and a weaker halo, on all three scenes, both
+budgets and both TAAs; with UE4's at 0.5 rays a pixel 85 to 94 % of the halo stay.
+"sample" leaves the weaker halo still in ten settings of twelve, but its squared error
+is above level 0's in five. "pixel" does not help on Sponza (SSIM −0.004 to −0.017) nor
+on the built-in scene without a budget.
 
 Traced rays read mip level 0 (the paper), or what a rasterizer would at the whole pixel
 ("pixel"), or their whole share of it ("sample"), or half of that, the default ("half

@@ -20,6 +20,16 @@ _compiling = 0.0
 _trespasses: list[str] = []
 _watch: dict[str, list[str]] = {}
 _PROGRAMS = ("ffmpeg", "uname")  # writes the video; the platform module asks
+# Changes of folders: of each path they name, its place and its folder descriptor's.
+_CHANGES = {
+    "os.mkdir": ((0, 2),),
+    "os.rename": ((0, 2), (1, 3)),
+    "os.remove": ((0, 1),),
+    "os.rmdir": ((0, 1),),
+    "os.link": ((1, 3),),
+    "os.symlink": ((1, 2),),
+    "os.chmod": ((0, 2),),
+}
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
@@ -42,10 +52,25 @@ def _audit(event: str, arguments: tuple) -> None:
         flags = arguments[2] if isinstance(arguments[2], int) else 0
         if any(path.startswith(each) for each in _watch["bait"]):
             _trespasses.append(f"opens {path}")
-        elif flags & _WRITES and not any(
-            path.startswith(each) for each in _watch["written"]
-        ):
+        elif flags & _WRITES and not _may_change(path):
             _trespasses.append(f"writes {path}")
+    elif event in _CHANGES:
+        for name, descriptor in _CHANGES[event]:
+            path = _entry(arguments[name], arguments[descriptor])
+            if not _may_change(path):
+                _trespasses.append(f"{event} {path}")
+
+
+def _may_change(path: str) -> bool:
+    return any(path.startswith(each) for each in _watch["written"])
+
+
+def _entry(name: str | bytes, descriptor: int) -> str:
+    """Returns the path of a folder's entry; a link there is not followed."""
+    given = os.fsdecode(name).rstrip("/")
+    if descriptor != -1:
+        given = os.path.join(os.readlink(f"/proc/self/fd/{descriptor}"), given)
+    return os.path.join(os.path.realpath(os.path.dirname(given)), Path(given).name)
 
 
 def main() -> None:
