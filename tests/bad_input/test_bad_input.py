@@ -126,3 +126,9 @@ def test_the_watch_notices_a_file_from_outside(reader, truck):
     finally:
         reader.bait.write_bytes(kept)
     assert "opens" in fault
+
+
+def test_the_watch_notices_a_folder_made_elsewhere(reader, truck, tmp_path):
+    _, fault = reader.verdict(reader.run(truck, "--out", str(tmp_path / "elsewhere")))
+    assert "os.mkdir" in fault
+    assert "elsewhere" in fault
