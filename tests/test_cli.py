@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ataa_jax import cli, effects, paths, world
+from ataa_jax import bench, cli, effects, paths, world
 from ataa_jax.methods import METHODS
 from tests.gltf_writer import triangle_scene
 
@@ -181,6 +181,19 @@ def test_compare_writes_the_whole_report(scene, tmp_path, capsys):
     methods = [row["method"] for row in read(out / "scores.csv")]
     assert methods == ["none", "taa", "ataa8", "reference"]
     assert "ATAA 8x" in capsys.readouterr().out
+
+
+def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys):
+    small = functools.partial(bench.peak_memory, size=(18, 32))
+    monkeypatch.setattr(bench, "peak_memory", small)
+    out = tmp_path / "out"
+    assert ataa("bench", scene, "--size", "32x18", "--out", out) == 0
+    rows = {row["name"]: float(row["value"]) for row in read(out / "bench.csv")}
+    assert 0.4 < rows["ATAA 8x rays a pixel"] <= 0.5
+    assert rows["ATAA 8x frame"] >= rows["ATAA 8x raster"] > 0.0
+    assert rows["SSAA 8x frame"] > 0.0
+    assert 0.05 < rows["peak memory at 32x18"] < 2.0  # GB; JAX alone takes 0.2
+    assert "ATAA 8x frame" in capsys.readouterr().out
 
 
 def test_info_tells_what_is_there_and_why(scene, capsys):

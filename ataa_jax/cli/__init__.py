@@ -236,6 +236,7 @@ def bench(
     with _output(place) as (folder, final):
         from ataa_jax import bench as benchmark
         from ataa_jax import files, pipeline
+        from ataa_jax import world as worlds
 
         with terminal.progress() as report:
             report("loading the scene", 0, 2)
@@ -245,7 +246,7 @@ def bench(
                 loaded, extent, camera, pipeline.BUDGET if budget is None else budget
             )
             rows.append(benchmark.peak_memory(scene))
-            if scene == world.BUILTIN:
+            if scene == worlds.BUILTIN:
                 rows.append(benchmark.generation())
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
