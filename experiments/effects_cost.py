@@ -20,7 +20,6 @@ of the raster stage's colour or the final image: the column says whether any did
     python experiments/effects_cost.py sponza  # measures this scene's rows anew
 """
 
-import csv
 import sys
 import time
 from pathlib import Path
@@ -141,16 +140,6 @@ def measure(name: str) -> list[tuple[str, ...]]:
     return rows
 
 
-def stored(names: list[str]) -> list[tuple[str, ...]]:
-    """Returns the table's rows of other scenes than these."""
-    file = RESULTS / "effects_cost.csv"
-    if not file.is_file():
-        return []
-    with file.open(encoding="utf-8", newline="") as lines:
-        rows = [tuple(row) for row in csv.reader(lines)][1:]
-    return [row for row in rows if row[0] not in names]
-
-
 def plot(rows: list[tuple[str, ...]], file: Path) -> None:
     """Draws the time of each variant as a share of all called-for effects' time."""
     names = list(dict.fromkeys(row[0] for row in rows))
@@ -180,7 +169,8 @@ def plot(rows: list[tuple[str, ...]], file: Path) -> None:
 def main() -> None:
     """Measures and writes the table and the plot."""
     names = sys.argv[1:] or scenes.available()
-    rows = stored(names)
+    found = scenes.other_rows(RESULTS / "effects_cost.csv", names)[1:]
+    rows = [tuple(row) for row in found]
     for name in names:
         rows += measure(name)
         files.write_csv(RESULTS / "effects_cost.csv", COLUMNS, rows)

@@ -4,6 +4,7 @@ The real scenes are found under `ATAA_SCENES`, or in `../shared/scenes` beside t
 checkout; a missing one is left out with a word.
 """
 
+import csv
 import os
 import sys
 from pathlib import Path
@@ -48,3 +49,12 @@ def shot(
 ) -> worlds.Sequence:
     """Binds a world to one of the stock paths."""
     return worlds.sequence(world, paths.load(kind, motion), size)
+
+
+def other_rows(file: Path, names: list[str]) -> list[list[str]]:
+    """Returns a table's head, and its rows but for these scenes'; empty: no table."""
+    if not file.is_file():
+        return []
+    with file.open(encoding="utf-8", newline="") as stream:
+        head, *rows = list(csv.reader(stream))
+    return [head, *(row for row in rows if row[0] not in names)]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import playback
+from scenes import other_rows
 
 from ataa_jax import color as colors
 from ataa_jax import metrics, pipeline, raster, reference, types
@@ -91,17 +92,13 @@ def stored(file: Path, keys: int, scenes: list[str]) -> list[tuple]:
 
     A row is its first columns, numbers as such, and a dictionary of the others.
     """
-    if not file.is_file():
-        return []
-    with file.open(newline="") as stream:
-        head, *lines = list(csv.reader(stream))
+    table = other_rows(file, scenes)
     return [
         (
             *(_number(cell) for cell in line[:keys]),
-            dict(zip(head[keys:], map(float, line[keys:]), strict=True)),
+            dict(zip(table[0][keys:], map(float, line[keys:]), strict=True)),
         )
-        for line in lines
-        if line[0] not in scenes
+        for line in table[1:]
     ]
 
 
