@@ -205,7 +205,7 @@ def antialias(
             "resolve",
             resolve.resolve(
                 segmented, color, gbuffer, blended, traced.color, params.resolve,
-                config=config.resolve,
+                samples=config.raytrace.samples, config=config.resolve,
             ),
         )  # fmt: skip
     image = colors.display(resolved.composite)

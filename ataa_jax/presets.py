@@ -54,16 +54,19 @@ class Preset:
     mip_bias: float  # of the raster stage's textures
     segmentation: str  # of `segmentation.PRESETS`
     footprint: raytrace.Footprint
+    traced: resolve.Traced  # what traced colours do to the TAA result
 
 
 PRESETS: dict[str, Preset] = {
     # TAA by `experiments/tune_taa.py`, weights by `experiments/fit_thresholds.py`, the
-    # rays' textures by `experiments/grey_halo.py`.
-    "tuned": Preset("tuned", -2.0, "fitted", "sample"),
-    # The same TAA; the two criteria "weighted equally" and mip level 0 (section 3).
-    "paper": Preset("tuned", -2.0, "paper", "level0"),
+    # rays' textures by `experiments/grey_halo.py`, what becomes of their colours by
+    # `experiments/sparse_jitter.py`.
+    "tuned": Preset("tuned", -2.0, "fitted", "sample", "join"),
+    # The same TAA; the two criteria "weighted equally", and rays that read mip level 0
+    # and replace the TAA result (section 3).
+    "paper": Preset("tuned", -2.0, "paper", "level0", "replace"),
     # The literature throughout: UE4's TAA leaves the textures' level of detail alone.
-    "ue4": Preset("ue4", 0.0, "paper", "level0"),
+    "ue4": Preset("ue4", 0.0, "paper", "level0", "replace"),
 }
 
 
@@ -120,6 +123,7 @@ def preset(
         raytrace=raytrace.Config(
             samples=samples, footprint=chosen.footprint, shading=selection.shading
         ),
+        resolve=resolve.Config(traced=chosen.traced),
     )
     params = Params(
         raster=raster.default_params(chosen.mip_bias),

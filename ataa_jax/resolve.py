@@ -1,19 +1,19 @@
 """Resolve stage: one colour a pixel, and what the next frame will read (Figure 2).
 
 FXAA's pixels take the raw sample, for FXAA runs later, on the display-referred image,
-and its output is never stored; TAA's take the TAA result; ATAA's the traced colour.
-The history stores exactly this composite: traced pixels feed the next frame's TAA
-(paper, section 5).
+and its output is never stored; TAA's take the TAA result; ATAA's the traced colour,
+which joins the TAA result or, as in the paper, replaces it. The history stores exactly
+this composite: traced pixels feed the next frame's TAA (paper, section 5).
 """
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Num
 
 from ataa_jax import color as colors
 from ataa_jax.types import (
@@ -25,11 +25,18 @@ from ataa_jax.types import (
     Segmentation,
 )
 
+Traced = Literal["join", "replace"]
+
 
 @dataclass(frozen=True)
 class Config:
     """Choices that change the program."""
 
+    # replace: a traced pixel shows its rays alone (paper, section 3.4). join: each of n
+    # rays is one more sample of the pixel, of the weight that a frame's own sample has
+    # in the running mean of m frames: rays have n/(n + m) of what is shown. our choice:
+    # join; better in `experiments/sparse_jitter.py` on all scenes, moving and still.
+    traced: Traced = "join"
     # Traced colours go into the history (paper, section 5). False: it stores the TAA
     # result and its count at the traced pixels; what is shown stays the composite.
     feedback: bool = True
@@ -38,7 +45,7 @@ class Config:
 class Params(eqx.Module):
     """Numbers one may sweep or fit."""
 
-    traced_count: Float[Array, ""]  # frames that a traced colour counts as
+    traced_count: Float[Array, ""]  # frames that a traced pixel counts as
 
 
 def default_params(
@@ -73,6 +80,32 @@ class ResolveOutput(eqx.Module):
     classification: Classification
 
 
+def traced_pixel(
+    blended: Blended,
+    traced: Float[Array, "h w 3"],
+    samples: int | Num[Array, ""] | Num[Array, "h w"],
+    *,
+    config: Config,
+) -> Float[Array, "h w 3"]:
+    """Returns what a pixel shows if it is traced, linear.
+
+    Args:
+        blended: the TAA result.
+        traced: linear colour of the rays.
+        samples: rays a traced pixel, or every pixel's.
+        config: whether they join the TAA result.
+
+    Returns:
+        NaN, inf and negative radiance are gone from it, whichever source they are from.
+    """
+    traced = colors.sanitize(traced)
+    if config.traced == "replace":
+        return traced
+    share = (samples / (samples + blended.count))[..., None]
+    old, new = (colors.to_average(c, "tonemap") for c in (blended.color, traced))
+    return colors.from_average(old + share * (new - old), "tonemap")
+
+
 @partial(jax.jit, static_argnames="config")
 def resolve(
     segmented: Segmentation,
@@ -82,6 +115,7 @@ def resolve(
     traced: Float[Array, "h w 3"],
     params: Params,
     *,
+    samples: int | Num[Array, ""],
     config: Config,
 ) -> ResolveOutput:
     """Composes the frame by the mask.
@@ -93,7 +127,8 @@ def resolve(
         blended: the TAA result.
         traced: linear colour of the traced pixels; not read elsewhere.
         params: what a traced pixel counts as.
-        config: whether traced colours feed the history.
+        samples: rays a traced pixel.
+        config: what traced colours do to the TAA result and to the history.
 
     Returns:
         Composite and state. NaN, inf and negative radiance end here, whichever
@@ -102,7 +137,8 @@ def resolve(
     method = segmented.mask & jnp.uint32(0xFFFF)
     is_fxaa, is_ataa = method == METHOD_FXAA, method == METHOD_ATAA
     untraced = jnp.where(is_fxaa[..., None], color, blended.color)
-    composite = colors.sanitize(jnp.where(is_ataa[..., None], traced, untraced))
+    seen = traced_pixel(blended, traced, samples, config=config)
+    composite = colors.sanitize(jnp.where(is_ataa[..., None], seen, untraced))
     stored, count = composite, jnp.where(is_ataa, params.traced_count, blended.count)
     if not config.feedback:
         stored, count = colors.sanitize(untraced), blended.count

@@ -32,7 +32,7 @@ import numpy as np
 import scenes
 import walks
 
-from ataa_jax import pipeline, raster, raytrace, segmentation, types
+from ataa_jax import pipeline, raster, raytrace, resolve, segmentation, types
 from ataa_jax import world as worlds
 
 mpl.use("Agg")
@@ -90,6 +90,9 @@ class Mixture:
         self.walk, self.plan, self.traced_count = walk, plan, traced_count
         self.rays = int(budget * walk.shot.size[0] * walk.shot.size[1])
         self.counts = jnp.zeros(walk.shot.size, jnp.float32)
+        # `trace` joins the colours itself, each by its pixel's own count.
+        self.config = replace(walk.config, resolve=resolve.Config(traced="replace"))
+        self.blended: Any = None
 
     def step(
         self, state: types.State, drawn: raster.RasterOutput, inputs: types.FrameInputs
@@ -98,12 +101,14 @@ class Mixture:
         return pipeline.antialias(
             state, drawn, inputs,
             pipeline.with_budget(self.walk.params, float("inf")),
-            config=self.walk.config, observe=self.observe,
+            config=self.config, observe=self.observe,
             trace=lambda _: self.trace(inputs),
         )  # fmt: skip
 
     def observe(self, stage: str, buffer: Any) -> Any:
         """Spends the budget after segmentation, counts rays after resolve."""
+        if stage == "taa":
+            self.blended = buffer
         if stage == "segmentation":
             return self.spend(buffer[0])
         if stage == "resolve" and self.traced_count == OWN:
@@ -131,7 +136,7 @@ class Mixture:
         return segmentation.apply_budget(wanted, jnp.int32(best + better + others))
 
     def trace(self, inputs: types.FrameInputs) -> raytrace.RaytraceOutput:
-        """Traces each count's pixels; the images are 0 elsewhere."""
+        """Traces each count's pixels, and joins their colours to the TAA result."""
         world = self.walk.shot.world
         traced = [
             raytrace.raytrace(
@@ -141,7 +146,12 @@ class Mixture:
             )
             for count in COUNTS
         ]  # fmt: skip
-        return jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *traced)
+        # Images are 0 where another count, or none, was traced.
+        mixture = jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *traced)
+        shown = resolve.traced_pixel(
+            self.blended, mixture.color, self.counts, config=resolve.Config()
+        )
+        return eqx.tree_at(lambda m: m.color, mixture, shown)
 
 
 def measure(

@@ -21,7 +21,7 @@ import numpy as np
 import playback
 import scenes
 
-from ataa_jax import pipeline, resolve, types
+from ataa_jax import pipeline, types
 from ataa_jax import world as worlds
 
 mpl.use("Agg")
@@ -53,7 +53,8 @@ def measure(name: str) -> list[_Row]:
                 shot, config, params, range(FRAMES), still=motion == "still"
             )
             for feedback in (True, False):
-                variant = replace(config, resolve=resolve.Config(feedback=feedback))
+                fed = replace(config.resolve, feedback=feedback)
+                variant = replace(config, resolve=fed)
                 outputs = playback.antialias(shot, drawn, variant, params)
                 for frame, output in enumerate(outputs):
                     method = playback.methods(output)

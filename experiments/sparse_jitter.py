@@ -12,25 +12,21 @@ colours join, jitter adds 0.001 to 0.022 to still images of 2 and 4 rays, and no
 The n-rooks pattern of the traced pixels stands still (the paper), or moves with the
 frame's Halton jitter, round the pixel's edges; see `raytrace.Config.jitter`. 2, 4 and 8
 rays a traced pixel at 0.5 rays a pixel, a typical walk and a still camera at 320×180,
-against 64 samples a pixel. A traced colour replaces the history (the paper's resolve),
-or ("kept") joins it by weight as TAA's samples do, so that jittered rays add up:
-h + (c − h) n / (n + m) for a colour c of n rays and a rectified history of m frames.
+against 64 samples a pixel. A traced colour replaces the TAA result (the paper's
+resolve), or joins it (the default); see `resolve.Config.traced`.
 
     python experiments/sparse_jitter.py       # writes results/sparse_jitter.csv, .png
 """
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import equinox as eqx
 import matplotlib as mpl
 import scenes
 import walks
 
-from ataa_jax import color as colors
+from ataa_jax import resolve
 from ataa_jax import world as worlds
 
 mpl.use("Agg")
@@ -39,32 +35,12 @@ from matplotlib import pyplot as plt
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 COUNTS = (2, 4, 8)
 COLUMNS = ("ssim", "mse", "flicker", "rays")
-VARIANTS = {  # name: (jitter, kept)
-    "fixed": (False, False),
-    "jittered": (True, False),
-    "fixed, kept": (False, True),
-    "jittered, kept": (True, True),
+VARIANTS: dict[str, tuple[bool, resolve.Traced]] = {  # name: (jitter, traced)
+    "fixed": (False, "replace"),
+    "jittered": (True, "replace"),
+    "fixed, joined": (False, "join"),
+    "jittered, joined": (True, "join"),
 }
-
-
-def keeping(samples: int) -> Callable[[str, Any], Any]:
-    """Returns an observer that mixes traced colours with TAA's result, which they join.
-
-    TAA's result is the rectified history with this frame's sample in it.
-    """
-    seen: dict[str, Any] = {}
-
-    def observe(stage: str, buffer: Any) -> Any:
-        seen[stage] = buffer
-        if stage != "raytrace":
-            return buffer
-        history = seen["taa"]
-        weight = (samples / (samples + history.count))[..., None]
-        old, new = colors.tonemap(history.color), colors.tonemap(buffer.color)
-        mixed = colors.inverse_tonemap(old + (new - old) * weight)
-        return eqx.tree_at(lambda b: b.color, buffer, mixed)
-
-    return observe
 
 
 def shots(name: str) -> dict[str, worlds.Sequence]:
@@ -84,11 +60,13 @@ def measure(walk: walks.Walk) -> dict[tuple[int, str], dict[str, float]]:
         (0, "taa"): walks.scores(walk, [*walks.antialias(walk, plain, walk.params)])
     }
     for samples in COUNTS:
-        for label, (jitter, kept) in VARIANTS.items():
-            rays = replace(walk.config.raytrace, samples=samples, jitter=jitter)
-            config = replace(walk.config, raytrace=rays)
-            observer = (keeping(samples),) if kept else ()
-            outputs = [*walks.antialias(walk, config, walk.params, *observer)]
+        for label, (jitter, traced) in VARIANTS.items():
+            config = replace(
+                walk.config,
+                raytrace=replace(walk.config.raytrace, samples=samples, jitter=jitter),
+                resolve=replace(walk.config.resolve, traced=traced),
+            )
+            outputs = [*walks.antialias(walk, config, walk.params)]
             found[samples, label] = walks.scores(walk, outputs)
     found[walks.SAMPLES, "reference"] = {
         "ssim": 1.0,

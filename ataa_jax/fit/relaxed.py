@@ -91,7 +91,7 @@ def look(
         shown = Shown(
             terms=jnp.stack([by_name[name] for name in names], axis=-1),
             blended=colors.display(blended.color),
-            traced=colors.display(recorded.traced),
+            traced=colors.display(replay.traced_pixel(recorded, blended, config)),
             method=method,
         )
         return after, shown

@@ -140,10 +140,21 @@ def composed(
         blended,
         recorded.traced,
         params.resolve,
+        samples=config.raytrace.samples,
         config=config.resolve,
     )
     after = State(history=resolved.history, classification=resolved.classification)
     return after, blended, method, resolved.composite
+
+
+def traced_pixel(
+    recorded: Recorded, blended: taa.TaaOutput, config: pipeline.Config
+) -> Float[Array, "h w 3"]:
+    """Returns what each pixel shows if it is traced, linear."""
+    samples = config.raytrace.samples
+    return resolve.traced_pixel(
+        blended, recorded.traced, samples, config=config.resolve
+    )
 
 
 @partial(jax.jit, static_argnames=("config", "choose", "shown"))

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ataa_jax import color as colors
 from ataa_jax import pipeline, segmentation, taa
-from ataa_jax.fit import score, space
+from ataa_jax.fit import replay, score, space
 from ataa_jax.fit.recording import Recorded
 from ataa_jax.fit.replay import Take
 from ataa_jax.types import METHOD_ATAA, METHOD_FXAA, Segmentation, State
@@ -57,7 +57,7 @@ def oracle(take: Take, params: pipeline.Params, budget: float) -> score.Result:
     """Scores the oracle mask."""
     choose = partial(
         _highest,
-        score=gain,
+        score=partial(gain, config=take.config),
         config=take.config.segmentation,
         pixels=affordable(take, budget),
     )
@@ -71,7 +71,11 @@ def affordable(take: Take, budget: float) -> int:
 
 
 def gain(
-    recorded: Recorded, blended: taa.TaaOutput, extra: object
+    recorded: Recorded,
+    blended: taa.TaaOutput,
+    extra: object,
+    *,
+    config: pipeline.Config,
 ) -> Float[Array, "h w"]:
     """Returns the squared error in sRGB that tracing removes from TAA's result."""
     del extra
@@ -79,7 +83,8 @@ def gain(
     def error(image: Array) -> Array:
         return jnp.sum((colors.display(image) - recorded.truth) ** 2, axis=-1)
 
-    return jnp.maximum(error(blended.color) - error(recorded.traced), 0.0)
+    traced = replay.traced_pixel(recorded, blended, config)
+    return jnp.maximum(error(blended.color) - error(traced), 0.0)
 
 
 def _chance(recorded: Recorded, blended: taa.TaaOutput, extra: Any) -> Array:
