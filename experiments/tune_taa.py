@@ -41,7 +41,10 @@ SCORED = 2  # the last frames of each sequence
 
 
 def grid() -> list[tuple[str, taa.Config, taa.Params]]:
-    """Returns the grid's members that share one raster sequence, and UE4's."""
+    """Returns the grid's members that share one raster sequence.
+
+    The weight is the one that the running mean of the tuned preset ends at.
+    """
     base, _ = taa.PRESETS["tuned"]
     members = []
     for weight, name, (rectify, gamma) in itertools.product(
@@ -50,9 +53,10 @@ def grid() -> list[tuple[str, taa.Config, taa.Params]]:
         choices: dict[str, Any] = {"history_filter": name, "rectify": rectify}
         config = replace(base, **choices)
         label = f"{weight},{name},{rectify},{gamma}"
-        members.append(
-            (label, config, taa.default_params(weight, variance_gamma=gamma))
+        numbers = taa.default_params(
+            count_limit=1.0 / weight - 1.0, variance_gamma=gamma
         )
+        members.append((label, config, numbers))
     return members
 
 
