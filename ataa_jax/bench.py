@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ataa_jax import builtin, compare, embree, paths, pipeline, reference, sampling
+from ataa_jax import builtin, embree, memory, paths, pipeline, reference, sampling
 from ataa_jax import camera as cameras
 from ataa_jax import world as worlds
 from ataa_jax.types import FrameInputs
@@ -78,7 +78,8 @@ def _peak_of_frames(scene: str, size: tuple[int, int]) -> int:
     )
     for output, _ in pipeline.sequence(shot, params, config=config, frames=2):
         jax.block_until_ready(output)
-    return compare.peak_memory()
+        del output
+    return memory.peak()
 
 
 def _median_s(run: Callable[[], Any]) -> float:

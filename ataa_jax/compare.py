@@ -4,19 +4,16 @@ Nothing here writes files; `report` does. Timings are kept apart from scores, so
 all else is a function of the input.
 """
 
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from functools import partial
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import psutil
 
 from ataa_jax import color as colors
-from ataa_jax import metrics, pipeline, reference
+from ataa_jax import memory, metrics, pipeline, reference
 from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 from ataa_jax.journal import Journal
@@ -165,7 +162,7 @@ def compare(
             _commit(journal, index, result, runners, images)
     for each in runners:
         result.stage_ms[each.name] = each.steady()
-    result.peak_memory_bytes = peak_memory()
+    result.peak_memory_bytes = memory.peak()
     return result
 
 
@@ -291,20 +288,3 @@ def _score(
         if each.method is not None and each.why is not None:
             result.masks.setdefault(each.name, []).append(each.method)
             result.whys.setdefault(each.name, []).append(each.why)
-
-
-def peak_memory() -> int:
-    """Returns the process's peak resident memory in bytes, as the system tells it."""
-    if sys.platform == "win32":
-        return int(psutil.Process().memory_info().peak_wset)
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if sys.platform == "darwin":
-        return peak  # bytes
-    # Linux starts `ru_maxrss` at the peak of the process that started this one.
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                peak = int(line.split()[1])
-    return peak * 1024

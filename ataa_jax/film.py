@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ataa_jax import color as colors
-from ataa_jax import compare, files, methods
+from ataa_jax import files, memory, methods
 from ataa_jax.capture import results
 from ataa_jax.capture.record import Capture
 from ataa_jax.journal import Journal
@@ -90,9 +90,7 @@ def shoot(
                 f"frame {max(index + 1, 0)}", index - first + 1, options.frames - first
             )
     files.write_csv(folder / "statistics.csv", STATISTICS, rows)
-    write_timings(
-        {method: runner.steady()}, compare.peak_memory(), folder / "timings.csv"
-    )
+    write_timings({method: runner.steady()}, memory.peak(), folder / "timings.csv")
     shown = (_read(folder / f"frames/{i:04d}.png") for i in range(options.frames))
     if isinstance(shot, Capture):
         text = "".join(f"{note}\n" for note in shot.notes)

@@ -277,6 +277,7 @@ class _Adaptive(Runner):
             )
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
+        self.output = None  # before the next one needs the memory
         phase = (frame - self.first) % len(self.jitter)
         drawn, inputs, ms = drawer.draw(
             pipeline.raster_config(self.config), self.params.raster, self.jitter[phase]

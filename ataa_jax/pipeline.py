@@ -346,6 +346,7 @@ def sequence(
             config=config,
         )
         yield output, current
+        del output  # before the next one needs the memory
 
 
 def with_cut(inputs: FrameInputs, cut: bool) -> FrameInputs:

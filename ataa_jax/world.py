@@ -16,6 +16,7 @@ from ataa_jax import (
     exposure,
     gltf,
     lighting,
+    memory,
     mesh_files,
     paths,
     shading,
@@ -195,7 +196,10 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
-    return prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
+    memory.release_after_compiling()
+    world = prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
+    memory.release()  # of what was read and is packed now
+    return world
 
 
 def read(path: str | Path) -> SceneSource:

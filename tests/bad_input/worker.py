@@ -74,7 +74,7 @@ def _entry(name: str | bytes, descriptor: int) -> str:
 
 
 def main() -> None:
-    from ataa_jax import cli, compare
+    from ataa_jax import cli, memory
 
     jax.monitoring.register_event_duration_secs_listener(_compiled)
     sys.addaudithook(_audit)
@@ -98,7 +98,7 @@ def main() -> None:
             "code": code,
             "err": err.getvalue()[-4000:],
             "seconds": whole - (_compiling - before),
-            "megabytes": compare.peak_memory() >> 20,
+            "megabytes": memory.peak() >> 20,
             "trespasses": _trespasses[:5],
         }
         print(json.dumps(answer), file=answers, flush=True)
