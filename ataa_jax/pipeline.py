@@ -28,6 +28,7 @@ from ataa_jax import (
     taa,
 )
 from ataa_jax.errors import InputError
+from ataa_jax.formats import Format
 from ataa_jax.presets import (
     BUDGET,
     PRESETS,
@@ -114,15 +115,19 @@ class FrameOutput(eqx.Module):
     statistics: Statistics
 
 
-def init(size: tuple[int, int]) -> State:
-    """Returns the state before the first frame: no history at all."""
-    zeros = jnp.zeros(size, jnp.float32)
+def init(size: tuple[int, int], history: Format = "float32") -> State:
+    """Returns the state before the first frame: no history at all.
+
+    Args:
+        size: image (height, width).
+        history: the format that `resolve.Config.history` keeps it in.
+    """
     return State(
         history=History(
-            color=jnp.zeros((*size, 3), jnp.float32),
-            depth=jnp.full(size, jnp.inf, jnp.float32),
-            motion=jnp.zeros((*size, 2), jnp.float32),
-            count=zeros,
+            color=jnp.zeros((*size, 3), history),
+            depth=jnp.full(size, jnp.inf, history),
+            motion=jnp.zeros((*size, 2), history),
+            count=jnp.zeros(size, history),
             valid=jnp.asarray(False),
         ),
         classification=Classification(mask=jnp.zeros(size, jnp.uint32)),
@@ -332,7 +337,9 @@ def sequence(
         Output and state of each frame.
     """
     world = shot.world
-    current = init(config.raster.size) if state is None else state
+    if state is None:
+        state = init(config.raster.size, config.resolve.history)
+    current = state
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from ataa_jax import color as colors
+from ataa_jax import formats
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -40,6 +41,8 @@ class Config:
     # Traced colours go into the history (paper, section 5). False: it stores the TAA
     # result and its count at the traced pixels; what is shown stays the composite.
     feedback: bool = True
+    # What the history is kept in. our choice: float32, by `experiments/precision.py`.
+    history: formats.Format = "float32"
 
 
 class Params(eqx.Module):
@@ -145,10 +148,10 @@ def resolve(
     return ResolveOutput(
         composite=composite,
         history=History(
-            color=stored,
-            depth=gbuffer.depth,
-            motion=gbuffer.motion,
-            count=jnp.where(is_fxaa, 1.0, count),
+            color=formats.narrow(stored, config.history),
+            depth=formats.narrow(gbuffer.depth, config.history),
+            motion=formats.narrow(gbuffer.motion, config.history),
+            count=formats.narrow(jnp.where(is_fxaa, 1.0, count), config.history),
             valid=jnp.asarray(True),
         ),
         classification=Classification(mask=segmented.mask),

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import terms, window
+from ataa_jax import formats, terms, window
 from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
@@ -253,6 +253,8 @@ def segmentation(
         is at least the threshold's: held pixels compete for the budget as if they
         just fired. FXAA's pixels have score 0.
     """
+    images = (state, color, gbuffer, reprojected, blended)
+    state, color, gbuffer, reprojected, blended = formats.widen(images)
     row, column = window.history_position(
         gbuffer.motion[..., 0], gbuffer.motion[..., 1]
     )

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ataa_jax import color as colors
-from ataa_jax import rectification, vector, window
+from ataa_jax import formats, rectification, vector, window
 from ataa_jax.types import GBuffer, History
 from ataa_jax.vector import Vec3
 
@@ -76,7 +76,7 @@ class Params(eqx.Module):
 
 
 def default_params(
-    current_weight: float = 0.3,  # experiments/tune_taa.py: best of 0.1, 0.2, 0.3
+    current_weight: float = 0.3,  # experiments/tune_taa.py: best of 0.1, 0.2 … 0.5
     current_weight_moving: float | None = None,  # None: the same as at rest
     motion_px: float = 40.0,  # UE4 (Karis 2014)
     variance_gamma: float = 1.0,  # Salvi 2016; Filament 1.0, UE4 1.25
@@ -156,6 +156,7 @@ def taa(
         Blended and reprojected colour, linear. A pixel that did not move, or moved by
         whole pixels, reads its texel of the history bit by bit.
     """
+    history, color, gbuffer = formats.widen((history, color, gbuffer))
     linear = colors.sanitize_vec(vector.unstack(color))
     current = vector.materialize(_to_average(linear, config))
     bordered = Vec3(*(window.border(c) for c in (current.x, current.y, current.z)))

@@ -1,5 +1,10 @@
 """Tunes TAA for quality alone, before ATAA is looked at.
 
+Found: a running mean that ends at weight 0.3, mip bias −2, Catmull-Rom and clip: SSIM
+0.9579 over all sequences. Clamp and variance clip are within 0.0005; weights 0.2 and
+0.4, biases −1 and −3 are worse, so the best lies within the grid. Level 0 everywhere
+(bias −16) costs 0.004.
+
 A grid over blend weight, mip bias, history filter and rectifier, on a still, a typical
 and a rapid sequence of every scene; the score is the mean SSIM against the reference.
 The best of the grid is `taa.PRESETS["tuned"]` and the mip bias of `pipeline.PRESETS`.

@@ -96,7 +96,9 @@ def look(
         )
         return after, shown
 
-    _, shown = jax.lax.scan(body, pipeline.init(config.raster.size), frames)
+    _, shown = jax.lax.scan(
+        body, pipeline.init(config.raster.size, config.resolve.history), frames
+    )
     return shown
 
 

@@ -169,7 +169,7 @@ def play(
 ) -> Played:
     """Replays a whole sequence from no history; `extra` has a leading frame axis."""
     body = partial(_scanned, params=params, config=config, choose=choose, shown=shown)
-    start = pipeline.init(config.raster.size)
+    start = pipeline.init(config.raster.size, config.resolve.history)
     _, played = jax.lax.scan(body, start, (frames, extra))
     return played
 
