@@ -19,9 +19,9 @@ def widen(tree: Tree) -> Tree:
     """Returns the tree with floats of 16 bits as float32."""
 
     def wide(leaf: Array) -> Array:
-        if not jnp.issubdtype(leaf.dtype, jnp.floating):
-            return leaf
-        return leaf.astype(jnp.promote_types(leaf.dtype, jnp.float32))
+        floats = jnp.issubdtype(leaf.dtype, jnp.floating)
+        narrow = floats and jnp.finfo(leaf.dtype).bits < 32
+        return leaf.astype(jnp.float32) if narrow else leaf
 
     return jax.tree.map(wide, tree)
 
