@@ -192,10 +192,10 @@ PRESETS: dict[str, tuple[Config, Params]] = {
     "fitted": (
         Config(use_response=True),
         default_params(
-            threshold=0.0064683906,
-            depth_weight=0.30758342,
-            response_weight=59.006927,
-            reset_px=1.9203992,
+            threshold=0.006840282,
+            depth_weight=0.38107407,
+            response_weight=54.32708,
+            reset_px=2.0158641,
             hold=0,
         ),
     ),
