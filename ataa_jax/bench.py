@@ -6,20 +6,30 @@ one process. They are never mixed with results.
 
 import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import jax
 import numpy as np
 
-from ataa_jax import builtin, embree, memory, paths, pipeline, reference, sampling
+from ataa_jax import (
+    builtin,
+    competitor,
+    embree,
+    memory,
+    paths,
+    pipeline,
+    reference,
+    sampling,
+)
 from ataa_jax import camera as cameras
 from ataa_jax import world as worlds
 from ataa_jax.types import FrameInputs
 
 Row = tuple[str, float, str]
 _REPEATS = 9
+_WARM = 3  # frames: those that compile, and a history to read
 
 
 def run(
@@ -44,6 +54,64 @@ def run(
     rows = _trace_rate(shot)
     rows += _frames(shot, budget)
     return rows
+
+
+def against_mitsuba(
+    world: worlds.World,
+    size: tuple[int, int] = (360, 640),
+    camera: str | None = None,
+    budget: float = pipeline.BUDGET,
+) -> list[Row]:
+    """Measures one directional light's image against Mitsuba 3's, by brute force.
+
+    The three take turns, so that other work on the machine disturbs them alike; a
+    ratio is the median of the rounds' ratios. All have their programs compiled, and
+    neither moving the scene nor reading its files is counted.
+
+    Args:
+        world: the scene; its lights give way to one, see `competitor.one_light`.
+        size: image (height, width).
+        camera: a camera's name, or a path, as the command line takes it.
+        budget: sparse primary rays a pixel of the ATAA frame.
+
+    Returns:
+        Name, value and unit: medians, quartiles and ratios.
+
+    Raises:
+        InputError: Mitsuba or LLVM is missing.
+    """
+    path = paths.load(camera or "walk", cameras=[c.name for c in world.cameras])
+    shot = worlds.sequence(competitor.one_light(world), path, size)
+    rival, inputs = competitor.Competitor(shot), shot.inputs(0)
+    ataa = _spending_frames(shot, budget)
+    runs = {
+        "Mitsuba 8 spp": lambda: rival.render(0, 8),
+        "SSAA 8x": lambda: reference.supersample(
+            shot.world, inputs, sampling.pattern(8), size
+        ),
+        "ATAA 8x": lambda: next(ataa),
+    }
+    times = _in_turns(runs)
+    rows: list[Row] = []
+    for name, ms in times.items():
+        low, middle, high = np.percentile(ms, (25, 50, 75))
+        rows += [(f"{name}", middle, "ms"), (f"{name}, first quartile", low, "ms")]
+        rows.append((f"{name}, third quartile", high, "ms"))
+    for name in ("ATAA 8x", "SSAA 8x"):
+        ratio = float(np.median(times[name] / times["Mitsuba 8 spp"]))
+        rows.append((f"{name} over Mitsuba 8 spp", ratio, "x"))
+    return rows
+
+
+def _in_turns(runs: dict[str, Callable[[], Any]]) -> dict[str, np.ndarray]:
+    """Returns the times of each in ms, one a round; the first rounds compile."""
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(_WARM + _REPEATS):
+        for name, run in runs.items():
+            start = time.perf_counter()
+            jax.block_until_ready(run())
+            times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: np.array(found[_WARM:]) for name, found in times.items()}
 
 
 def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> Row:
@@ -131,16 +199,41 @@ def _stage_rays(
     return np.broadcast_to(eye, array.shape).copy(), array
 
 
-def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
-    """An ATAA 8x frame that spends its whole budget, by stages, against SSAA 8x."""
-    world = shot.world
+def _spending(
+    shot: worlds.Sequence, budget: float
+) -> tuple[pipeline.Config, pipeline.Params, np.ndarray]:
+    """Returns the preset that spends the whole budget, and its jitter."""
     config, params = pipeline.preset(
-        "tuned", world.scene, shot.size, samples=8, budget=budget,
+        "tuned", shot.world.scene, shot.size, samples=8, budget=budget,
         selection=shot.effects,
     )  # fmt: skip
     jitter = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
+    # A threshold of 0 makes every pixel ask for rays, so the budget is spent in full.
+    return config, pipeline.with_threshold(params, 0.0), jitter
+
+
+def _spending_frames(
+    shot: worlds.Sequence, budget: float
+) -> Iterator[pipeline.FrameOutput]:
+    """Yields ATAA 8x frames that spend their whole budget, one a round."""
+    world = shot.world
+    config, params, jitter = _spending(shot, budget)
+    state = pipeline.init(shot.size)
+    inputs = [shot.inputs(i, jitter[i % len(jitter)]) for i in range(_WARM + _REPEATS)]
+    for each in inputs:
+        output, state = pipeline.stages(
+            state, each, params,
+            scene=world.scene, tracer=world.tracer, config=config,
+        )  # fmt: skip
+        yield output
+
+
+def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
+    """An ATAA 8x frame that spends its whole budget, by stages, against SSAA 8x."""
+    world = shot.world
+    config, params, jitter = _spending(shot, budget)
     times: dict[str, list[float]] = {}
     clock = 0.0
 
@@ -152,11 +245,9 @@ def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
         clock = time.perf_counter()
         return buffers
 
-    # A threshold of 0 makes every pixel ask for rays, so the budget is spent in full.
-    params = pipeline.with_threshold(params, 0.0)
     state = pipeline.init(shot.size)
     spent = 0.0
-    for frame in range(_REPEATS + 3):
+    for frame in range(_WARM + _REPEATS):
         inputs = shot.inputs(frame, jitter[frame % len(jitter)])
         clock = time.perf_counter()
         output, state = pipeline.stages(
@@ -164,7 +255,7 @@ def _frames(shot: worlds.Sequence, budget: float) -> list[Row]:
             scene=world.scene, tracer=world.tracer, config=config, observe=observe,
         )  # fmt: skip
         spent = int(output.statistics.primary_rays) / (shot.size[0] * shot.size[1])
-    medians = {stage: 1e3 * float(np.median(t[3:])) for stage, t in times.items()}
+    medians = {stage: 1e3 * float(np.median(t[_WARM:])) for stage, t in times.items()}
     total = sum(medians.values())
     inputs = shot.inputs(0)
     ssaa = 1e3 * _median_s(

@@ -131,7 +131,7 @@ def supply(
     sky = source.sky
     strength = 1.0
     if not lights:
-        sun, share = _best_sun(tracer, transforms, points, camera)
+        sun, share = best_sun(tracer, transforms, points, camera)
         if share >= _INDOOR_SUN_SHARE:
             lights = [sun]
             notes.append(
@@ -163,13 +163,25 @@ def supply(
     return lights, sky, notes
 
 
-def _best_sun(
+def best_sun(
     tracer: Tracer,
     transforms: np.ndarray,
     points: VisiblePoints,
     camera: CameraSource,
 ) -> tuple[LightSource, float]:
-    """Tries eight azimuths at two elevations; ties go to the earlier direction."""
+    """Returns the sun that lights most of what a camera sees.
+
+    Eight azimuths about the view at two elevations are tried; ties go to the earlier.
+
+    Args:
+        tracer: of the scene.
+        transforms: where the rigid groups stand, float32 (groups, 3, 4).
+        points: what the camera sees.
+        camera: the azimuths are counted from its back.
+
+    Returns:
+        The sun, before exposure, and the share of the points that it lights.
+    """
     best, best_share = None, -1.0
     back = camera.world_from_view[:3, 2]
     base = np.arctan2(back[0], back[2])

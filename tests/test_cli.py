@@ -12,6 +12,8 @@ import pytest
 from PIL import Image
 
 from ataa_jax import bench, cli, effects, paths, world
+from ataa_jax.competitor import library
+from ataa_jax.errors import InputError
 from ataa_jax.methods import METHODS
 from tests.gltf_writer import triangle_scene
 
@@ -194,6 +196,30 @@ def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys)
     assert rows["SSAA 8x frame"] > 0.0
     assert 0.05 < rows["peak memory at 32x18"] < 2.0  # GB; JAX alone takes 0.2
     assert "ATAA 8x frame" in capsys.readouterr().out
+
+
+def test_bench_against_mitsuba_measures_both(scene, tmp_path, capsys):
+    try:
+        library.load()
+    except InputError as error:
+        pytest.skip(str(error))
+    out = tmp_path / "out"
+    options = ("--size", "32x18", "--against", "mitsuba", "--out", out)
+    assert ataa("bench", scene, *options) == 0
+    rows = {row["name"]: float(row["value"]) for row in read(out / "bench.csv")}
+    for name in ("Mitsuba 8 spp", "SSAA 8x", "ATAA 8x"):
+        low, high = (rows[f"{name}, {which} quartile"] for which in ("first", "third"))
+        assert 0.0 < low <= rows[name] <= high
+    assert rows["ATAA 8x over Mitsuba 8 spp"] > 0.0
+    assert rows["SSAA 8x over Mitsuba 8 spp"] > 0.0
+    assert "Mitsuba 8 spp" in capsys.readouterr().out
+
+
+def test_bench_against_anything_else_is_one_line(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert ataa("bench", scene, "--against", "foo", "--out", out) == 2
+    assert capsys.readouterr().err == "error: --against takes 'mitsuba', not 'foo'\n"
+    assert not out.exists()
 
 
 def test_info_tells_what_is_there_and_why(scene, capsys):

@@ -227,27 +227,35 @@ def bench(
     size: given.Size = "640x360",
     camera: given.CameraOption = None,
     budget: given.Budget = None,
+    against: given.Against = None,
     out: given.Out = None,
     traceback: given.Traceback = False,
 ) -> None:
     """Measures a scene: rays a second, stages of a frame, peak memory."""
     extent = given.size_of(size)
+    if against not in (None, "mitsuba"):
+        raise InputError(f"--against takes 'mitsuba', not '{against}'")
     place = out or Path("out") / f"{_stem(scene)}-bench"
     with _output(place) as (folder, final):
         from ataa_jax import bench as benchmark
         from ataa_jax import files, pipeline
         from ataa_jax import world as worlds
+        from ataa_jax.competitor import library
 
+        rays = pipeline.BUDGET if budget is None else budget
         with terminal.progress() as report:
+            if against is not None:
+                library.load()  # so that a missing one is told before a long read
             report("loading the scene", 0, 2)
             loaded, _ = _load(scene, camera, None, extent)
             report("measuring", 1, 2)
-            rows = benchmark.run(
-                loaded, extent, camera, pipeline.BUDGET if budget is None else budget
-            )
-            rows.append(benchmark.peak_memory(scene))
-            if scene == worlds.BUILTIN:
-                rows.append(benchmark.generation())
+            if against is not None:
+                rows = benchmark.against_mitsuba(loaded, extent, camera, rays)
+            else:
+                rows = benchmark.run(loaded, extent, camera, rays)
+                rows.append(benchmark.peak_memory(scene))
+                if scene == worlds.BUILTIN:
+                    rows.append(benchmark.generation())
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)

@@ -63,6 +63,14 @@ Budget = Annotated[
         help="Sparse rays a pixel of the frame, or inf; 0.48 unless --params says."
     ),
 ]
+Against = Annotated[
+    str | None,
+    typer.Option(
+        metavar="mitsuba",
+        help="Measure brute force instead, under one directional light: Mitsuba 3 at "
+        "8 samples a pixel beside SSAA 8x and ATAA 8x.",
+    ),
+]
 Effects = Annotated[
     str | None,
     typer.Option(
