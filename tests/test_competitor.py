@@ -3,6 +3,7 @@
 import importlib
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -157,7 +158,9 @@ def test_mitsuba_draws_the_same_image(rival, shot, index):
 def test_a_moving_group_follows_its_transform(rival):
     first, moved = rival.render(0, 4), rival.render(4, 4)
     assert np.abs(moved - first).max() > 0.1
-    np.testing.assert_array_equal(rival.render(0, 4), first)  # and back again
+    for _ in range(4):  # and back again, every time
+        rival.place(4)
+        np.testing.assert_array_equal(rival.render(0, 4), first)
 
 
 def test_the_seed_decides_the_samples(rival):
@@ -190,6 +193,46 @@ def test_light_and_eye_pass_the_holes_of_a_mask(mitsuba):
     assert 0.45 < share < 0.55  # half, but for perspective and the cover's own gleam
     assert np.all(holed < 1.05 * without.max())
     assert np.percentile(np.abs(holed - without), 60) < 1e-3  # the rest is the floor
+
+
+def test_a_lamp_fades_by_its_range_and_cone(mitsuba):
+    # From one place, so that the BRDF cancels in the ratio of two lights' images: what
+    # is left is KHR_lights_punctual's window and cone, at the point that a pixel shows.
+    bulb = LightSource(types.LIGHT_POINT, (5.0, 5.0, 5.0), position=(0.2, 1.0, 0.1))
+    spot = replace(
+        bulb,
+        kind=types.LIGHT_SPOT,
+        direction=(0.0, -1.0, 0.0),
+        range=2.0,
+        inner_cone_angle=0.3,
+        outer_cone_angle=1.2,
+    )
+    shot = sequence([mesh(tiny.floor(40.0), 0)], [MaterialSource(metallic=0.0)])
+
+    def light(lamp):
+        packed = scenes.pack_lights([lamp])
+        scene = worlds.replace_lights(shot.world.scene, packed, shot.world.scene.sky)
+        world = competitor.lamps(replace(shot.world, scene=scene, lights=[lamp]))
+        return competitor.Competitor(replace(shot, world=world)).render(0, 16)
+
+    eye = shot.inputs(0).camera
+    x, y = cameras.pixel_centres(SIZE)
+    way = np.stack(jax.tree.leaves(cameras.directions(eye, SIZE, x, y)), axis=-1)
+    near = way[:, 1] < -0.3  # the floor before the eye, not its horizon
+    way = way[near]
+    start = np.asarray(eye.world_from_view)[:3, 3]
+    point = start - way * (start[1] / way[:, 1:2])
+    offset = np.array(bulb.position) - point
+    squared = np.sum(offset**2, axis=1)
+    window = np.clip(1.0 - (squared / 4.0) ** 2, 0.0, 1.0)
+    inner, outer = np.cos(0.3), np.cos(1.2)
+    cosine = offset[:, 1] / np.sqrt(squared)
+    cone = np.clip((cosine - outer) / (inner - outer), 0.0, 1.0)
+    ratio = (light(spot)[..., 0] / light(bulb)[..., 0]).reshape(-1)[near]
+    # A pixel is the mean over its area, over which both change by some percent.
+    # A pixel is the mean over its area; where the cone's clamp begins it bends.
+    np.testing.assert_allclose(ratio, window * cone**2, atol=0.02)
+    assert ratio.min() < 0.05 < 0.8 < ratio.max()
 
 
 def test_a_lit_sky_is_refused(mitsuba):

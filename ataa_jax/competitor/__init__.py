@@ -20,7 +20,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ataa_jax import camera as cameras
 from ataa_jax import effects, lighting, types
 from ataa_jax import scene as scenes
 from ataa_jax.competitor import library
@@ -36,6 +35,9 @@ _AT_ONCE = 16
 
 def lamps(world: World) -> World:
     """Returns the world lit by its punctual lights alone.
+
+    With several, a sample of Mitsuba's sees one light at random, weighted by their
+    number, and one of the package's sees all: equal in the mean, not in cost or noise.
 
     Args:
         world: any; its exposure stays.
@@ -103,7 +105,7 @@ class Competitor:
         built = _build(self._mitsuba, sequence, self._parts, self._transforms)
         self._scene = built[0]
         self._parameters = [self._mitsuba.traverse(scene) for scene in built]
-        self._draw = _frozen(self._mitsuba)
+        self._draw = None
         self.place(0)
 
     def render(self, index: int, spp: int, seed: int = 0) -> np.ndarray:
@@ -116,8 +118,15 @@ class Competitor:
 
         Returns:
             Linear radiance, float32 (h, w, 3).
+
+        Raises:
+            InputError: spp is not positive.
         """
+        if spp < 1:
+            raise InputError(f"a sample count must be at least 1, not {spp}")
         self.place(index)
+        if self._draw is None:
+            self._draw = _frozen(self._mitsuba)
         total = np.zeros((*self._sequence.size, 3), np.float32)
         left = spp
         while left:
@@ -149,7 +158,12 @@ class Competitor:
             parameters.update()
 
     def _move(self, name: str, position: np.ndarray, normal: np.ndarray) -> None:
-        """Sets a part's corners in every scene that holds it."""
+        """Sets a part's corners in every scene that holds it.
+
+        The program is recorded anew after that: the old one would go on reading the
+        corners' old place in memory (drjit 1.5.0).
+        """
+        self._draw = None
         for parameters in self._parameters:
             if f"{name}.vertex_positions" in parameters:
                 parameters[f"{name}.vertex_positions"] = position.reshape(-1)
@@ -223,10 +237,12 @@ def _build(
     bsdfs = {material: plugins.GltfBsdf(row) for material, row in rows.items()}
     meshes, solid, clear = {}, {}, {}
     for name, part in parts.items():
-        mesh = _mesh(mi, name, part, transforms[part.group], bsdfs[part.material])
         row = rows[part.material]
         kind = solid if row.cutoff is None and not row.blended else clear
-        meshes[name] = kind[name] = mesh
+        # A mesh of its own for each scene, which alone then moves it.
+        for each in (meshes, kind):
+            bsdf, transform = bsdfs[part.material], transforms[part.group]
+            each[name] = _mesh(mi, name, part, transform, bsdf)
     layered = any(row.blended for row in rows.values())
     hiding = mi.load_dict({"type": "scene", **solid})
     passing = mi.load_dict({"type": "scene", **clear}) if clear else None
@@ -238,7 +254,7 @@ def _build(
     }
     for index in range(scene.lights.kind.shape[0]):
         light = jax.tree.map(lambda x, i=index: np.asarray(x)[i], scene.lights)
-        drawn[f"light_{index}"] = _emitter(mi, light)
+        drawn[f"light_{index}"] = _emitter(plugins, light)
     return [mi.load_dict(drawn), hiding, *([passing] if clear else [])]
 
 
@@ -288,42 +304,24 @@ def _camera_transform(mi: Any, world_from_view: np.ndarray) -> Any:
     return mi.ScalarTransform4f(world_from_view @ np.diag([-1.0, 1.0, -1.0, 1.0]))
 
 
-def _emitter(mi: Any, light: types.Lights) -> dict[str, Any]:
-    """Describes one punctual light.
-
-    Mitsuba's `point` and `spot` know no range, and its spot fades linearly in the
-    angle between the cones, KHR_lights_punctual's with the square of the cosine's
-    share: such lights agree in kind, not pixel by pixel.
-    """
-
-    def color(value: Any) -> dict[str, Any]:
-        return {"type": "rgb", "value": [float(v) for v in value]}
-
-    kind, position = int(light.kind), np.asarray(light.position, np.float64)
-    direction = np.asarray(light.direction, np.float64)
+def _emitter(plugins: Any, light: types.Lights) -> Any:
+    """Returns one punctual light."""
+    kind, direction = int(light.kind), np.asarray(light.direction, np.float64)
+    intensity = np.asarray(light.intensity, np.float64).tolist()
     if kind == types.LIGHT_DIRECTIONAL:
         return {
             "type": "directional",
             "direction": direction.tolist(),
-            "irradiance": color(light.intensity),
+            "irradiance": {"type": "rgb", "value": intensity},
         }
-    if kind == types.LIGHT_POINT:
-        return {
-            "type": "point",
-            "position": position.tolist(),
-            "intensity": color(light.intensity),
-        }
-    pose = cameras.look_at(position, position + direction)
-    inner, outer = (
-        float(np.degrees(np.arccos(c))) for c in (light.cos_inner, light.cos_outer)
+    cosines = float(light.cos_inner), float(light.cos_outer)
+    return plugins.Lamp(
+        np.asarray(light.position, np.float64).tolist(),
+        direction.tolist(),
+        intensity,
+        float(light.range),
+        cosines if kind == types.LIGHT_SPOT else None,
     )
-    return {
-        "type": "spot",
-        "to_world": _camera_transform(mi, pose),
-        "intensity": color(light.intensity),
-        "cutoff_angle": outer,
-        "beam_width": min(inner, 0.999 * outer),
-    }
 
 
 def _rows(plugins: Any, scene: types.Scene, used: set[int]) -> dict[int, Any]:

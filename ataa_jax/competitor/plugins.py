@@ -25,6 +25,7 @@ from ataa_jax import types
 from ataa_jax.mipmap import decode_srgb
 
 _MIN_ROUGHNESS = 0.045  # as `material`
+_MIN_SQUARED_DISTANCE = 2.0**-40  # as `shading`
 _OFFSET = 2.0**-16  # as `surface.lifted`, of the largest coordinate
 _MODES = {
     types.WRAP_REPEAT: dr.WrapMode.Repeat,
@@ -232,6 +233,68 @@ def _brdf(normal, view, light, diffuse, f0, alpha):
     )
     fresnel = _schlick(f0, dr.clip(dr.dot(view, half), 0.0, 1.0))
     return diffuse * (1.0 - fresnel) * dr.inv_pi + fresnel * (distribution * visibility)
+
+
+class Lamp(mi.Emitter):
+    """A point or spot light with KHR_lights_punctual's range and cone.
+
+    Mitsuba's `point` and `spot` have no range, and its spot fades linearly.
+    """
+
+    @no_type_check
+    def __init__(self, position, direction, intensity, reach, cosines) -> None:
+        """Takes world positions and directions.
+
+        Args:
+            position: of the light.
+            direction: unit, the way the light travels.
+            intensity: linear RGB.
+            reach: distance at which it ends, may be inf.
+            cosines: of the inner and outer cone's angle; None: it shines all round.
+        """
+        super().__init__(mi.Properties("lamp"))
+        self.m_flags = mi.EmitterFlags.DeltaPosition
+        self.position, self.direction = mi.Point3f(position), mi.Vector3f(direction)
+        self.intensity, self.reach = mi.Color3f(intensity), mi.Float(reach)
+        self.cosines = cosines
+
+    @no_type_check
+    def sample_direction(self, it, sample, active=True):
+        """Returns the way to the light, and `shading`'s irradiance across it."""
+        offset = self.position - it.p
+        squared = dr.maximum(dr.squared_norm(offset), _MIN_SQUARED_DISTANCE)
+        found = dr.zeros(mi.DirectionSample3f)
+        found.p, found.time = self.position, it.time
+        found.pdf, found.delta, found.emitter = 1.0, True, mi.EmitterPtr(self)
+        found.dist = dr.sqrt(squared)
+        found.d = offset / found.dist
+        window = dr.square(squared / dr.square(self.reach))
+        strength = dr.clip(1.0 - window, 0.0, 1.0) / squared
+        if self.cosines is not None:
+            inner, outer = self.cosines
+            cosine = -dr.dot(found.d, self.direction)
+            cone = dr.clip((cosine - outer) / max(inner - outer, 1e-3), 0.0, 1.0)
+            strength = strength * dr.square(cone)
+        return found, dr.select(active, self.intensity * strength, 0.0)
+
+    @no_type_check
+    def pdf_direction(self, it, ds, active=True):
+        """Returns 0: no other way leads to a point."""
+        return mi.Float(0.0)
+
+    @no_type_check
+    def eval(self, si, active=True):
+        """Returns 0: a point is not seen."""
+        return mi.Color3f(0.0)
+
+    @no_type_check
+    def bbox(self):
+        """Returns the light's place."""
+        return mi.ScalarBoundingBox3f(mi.ScalarPoint3f(*self.position.numpy().flat))
+
+    def to_string(self) -> str:
+        """Names the plugin."""
+        return "Lamp[]"
 
 
 class DirectLight(mi.SamplingIntegrator):
