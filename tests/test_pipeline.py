@@ -117,11 +117,19 @@ def test_every_pixel_is_its_methods_colour(world):
         for code, buffer in (
             (types.METHOD_FXAA, output.raw),
             (types.METHOD_TAA, output.taa),
-            (types.METHOD_ATAA, output.traced),
         ):
             where = method == code
             np.testing.assert_array_equal(composite[where], np.asarray(buffer)[where])
-    assert np.any(method == types.METHOD_ATAA)
+        # Eight rays join a history that counts as three frames at most.
+        joined = method == types.METHOD_ATAA
+        shown, old, new = (
+            np.asarray(color.tonemap(image))[joined]
+            for image in (output.composite, output.taa, output.traced)
+        )
+        whole, left = np.abs(new - old), np.abs(new - shown)
+        np.testing.assert_allclose(left + np.abs(shown - old), whole, atol=1e-6)
+        assert np.all(left <= whole * (3 / 11) + 1e-6)
+    assert np.any(joined)
 
 
 def test_statistics_count_what_the_mask_says(world):
