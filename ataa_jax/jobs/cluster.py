@@ -6,6 +6,7 @@ trusted as Python code is: use a scheduler that only you can reach, or its TLS.
 """
 
 import contextlib
+import logging
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -33,6 +34,9 @@ class Cluster:
     def __init__(self, address: str) -> None:
         self.address = address
         self._distributed = _distributed()
+        for name in ("distributed.client", "distributed.utils"):
+            # They log whole tracebacks of what the errors here say in a sentence.
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client = self._distributed.Client(
                 address, timeout=CONNECT_S, set_as_default=False
