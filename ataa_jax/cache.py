@@ -10,10 +10,11 @@ import inspect
 import os
 import tempfile
 import zipfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import jax
 import numpy as np
@@ -27,6 +28,7 @@ __all__ = [
     "package_hash",
     "read",
     "read_all",
+    "store",
     "write",
 ]
 
@@ -102,12 +104,33 @@ def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
     """
     paths, _ = jax.tree_util.tree_flatten_with_path(tree)
     arrays = {_name(path): np.asarray(leaf) for path, leaf in paths}
+    _put(
+        file,
+        lambda stream: np.savez(stream, allow_pickle=False, **arrays),
+        limit_bytes,
+    )
+
+
+def store(file: Path, data: bytes, limit_bytes: int) -> None:
+    """Writes the bytes of a file that `write` made elsewhere, as `write` does.
+
+    Args:
+        file: an ``.npz``.
+        data: all of it; `read` tells whether they are whole.
+        limit_bytes: of all ``.npz`` in its folder; the oldest go first.
+    """
+    _put(file, lambda stream: stream.write(data), limit_bytes)
+
+
+def _put(
+    file: Path, fill: Callable[[IO[bytes]], object], limit_bytes: int | None
+) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
         try:
             with os.fdopen(handle, "wb") as stream:
-                np.savez(stream, allow_pickle=False, **arrays)
+                fill(stream)
             Path(name).replace(file)
         finally:  # a full disk leaves no part of a file behind
             Path(name).unlink(missing_ok=True)

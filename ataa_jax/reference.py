@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -133,16 +134,14 @@ def reference(
         progress: called `samples` times.
         use_cache: read and write the cache folder.
     """
-    inputs = shot.inputs(frame)
-    key = _content_key(shot.world, inputs, shot.size, samples, average)
-    file = cache.folder() / "reference" / f"{key}.npz"
+    file = cache_file(shot, frame, samples, average)
     if use_cache and (found := cache.read(file, _like(shot.size))) is not None:
         for _ in range(samples):
             progress()
         return jax.tree.map(jnp.asarray, found)
     result = supersample(
         shot.world,
-        inputs,
+        shot.inputs(frame),
         sampling.reference_pattern(samples),
         shot.size,
         average=average,
@@ -151,6 +150,14 @@ def reference(
     if use_cache:
         cache.write(file, result, CACHE_LIMIT_BYTES)
     return result
+
+
+def cache_file(
+    shot: Sequence, frame: int, samples: int, average: colors.Average = "tonemap"
+) -> Path:
+    """Returns where the cache keeps the `reference` of these arguments, if it does."""
+    key = _content_key(shot.world, shot.inputs(frame), shot.size, samples, average)
+    return cache.folder() / "reference" / f"{key}.npz"
 
 
 def _like(size: tuple[int, int]) -> Supersampled:

@@ -153,10 +153,10 @@ def triangle_scene():
     return writer
 
 
-def ball(path):
+def ball(path, color=(200, 120, 40, 255)):
     """Writes a small textured sphere, and returns where."""
     writer = Writer()
-    writer.add("textures", source=writer.image(solid((200, 120, 40, 255), (4, 4))))
+    writer.add("textures", source=writer.image(solid(color, (4, 4))))
     writer.add("materials", pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
     corners = np.float32(tiny.sphere(6, 9, 0.8).position).reshape(-1, 3)
     uv = np.ascontiguousarray(corners[:, :2])

@@ -72,10 +72,11 @@ def test_run_writes_frames_and_masks_in_the_captures_layout(folder, tmp_path, ca
         assert picture.size == (captures.SIZE[1], captures.SIZE[0])
 
 
-def test_compare_scores_a_capture_against_its_reference(folder, tmp_path):
+def test_compare_scores_a_capture_against_its_reference(folder, tmp_path, capsys):
     out = tmp_path / "out"
-    methods = "none,taa,ataa8,ssaa8"
-    assert ataa("compare", folder, "--method", methods, "--out", out) == 0
+    words = ("--method", "none,taa,ataa8,ssaa8", "--jobs", "2", "--out", out)
+    assert ataa("compare", folder, *words) == 0
+    assert "no worker was needed" in capsys.readouterr().out
     table = (out / "scores.csv").read_text()
     assert "ataa8" in table
     assert "no ray was traced" in (out / "index.html").read_text()

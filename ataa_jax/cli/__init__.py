@@ -19,11 +19,20 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from ataa_jax import capture_commands, errors, programs
-from ataa_jax.cli import cache_commands, fit_commands, given, terminal, verify_command
+from ataa_jax.cli import (
+    cache_commands,
+    fit_commands,
+    given,
+    loading,
+    reference_command,
+    terminal,
+    verify_command,
+    workers,
+)
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from ataa_jax import effects, methods, paths, world
+    from ataa_jax import methods, world
 
 _LONGEST = 900  # characters of a message. our choice: a long path and a sentence
 _SHOWN_ROWS = 24  # of `statistics.csv`, in the terminal
@@ -92,7 +101,7 @@ def info(
     """Tells what a scene holds, and which effects will be rendered, and why."""
     from ataa_jax import world as worlds
 
-    wish = _wish(effects)
+    wish = loading.wish(effects)
     with terminal.progress() as report:
         report("loading the scene", 0, 1)
         loaded = worlds.load(scene, wish=wish)
@@ -182,6 +191,8 @@ def compare_command(
     lead_in: given.LeadIn = 8,
     params: given.ParamsOption = None,
     effects: given.Effects = None,
+    jobs: given.Jobs = 1,
+    scheduler: given.Scheduler = None,
     out: given.Out = None,
     traceback: given.Traceback = False,
 ) -> None:
@@ -194,6 +205,8 @@ def compare_command(
         motion=motion,
         params=params,
         out=out or Path("out") / _stem(scene),
+        jobs=jobs,
+        scheduler=scheduler,
         options={
             "frames": frames,
             "lead_in": lead_in,
@@ -215,6 +228,7 @@ def check(
     raise typer.Exit(capture_commands.check_folder(str(capture)))
 
 
+app.command(name="reference")(reference_command.reference)
 app.command(name="fit")(fit_commands.fit)
 app.command(name="export")(fit_commands.export)
 app.command(name="verify")(verify_command.verify)
@@ -247,7 +261,7 @@ def bench(
             if against is not None:
                 library.load()  # so that a missing one is told before a long read
             report("loading the scene", 0, 2)
-            loaded, _ = _load(scene, camera, None, extent)
+            loaded, _ = loading.load(scene, camera, None, extent)
             report("measuring", 1, 2)
             if against is not None:
                 rows = benchmark.against_mitsuba(loaded, extent, camera, rays)
@@ -273,21 +287,25 @@ def _compare(
     params: Path | None,
     out: Path,
     options: dict[str, Any],
+    jobs: int = 1,
+    scheduler: str | None = None,
 ) -> None:
     """The body of `compare` and `demo`."""
     extent = given.size_of(size)
     given.at_least("--frames", options["frames"], 1)
     given.at_least("--lead-in", options.get("lead_in", 0), 0)
     given.at_least("--reference-samples", options["reference_samples"], 1)
+    workers.check(jobs, scheduler)
+    renders = not capture_commands.given(scene)
     with _output(out, resume=True) as (folder, final):
-        from ataa_jax import compare, methods, report
+        from ataa_jax import compare, methods, report, world
         from ataa_jax.journal import Journal
 
         if names:
             split = [part.strip() for name in names for part in name.split(",")]
             options["methods"] = methods.check_methods(dict.fromkeys(split))
         with terminal.progress() as tell:
-            if capture_commands.given(scene):
+            if not renders:
                 shot, chosen = capture_commands.prepare(
                     scene, camera, motion, params, options.pop("methods", ()), options
                 )
@@ -296,46 +314,28 @@ def _compare(
                     scene, extent, camera, motion, params, tell, options
                 )
             key = methods.job_key(shot, "compare", chosen)
-            result = compare.compare(shot, chosen, tell, Journal(folder, key))
+            journal = Journal(folder, key)
+            if isinstance(shot, world.Sequence):
+                begin = 0 if journal.step is None else max(journal.step + 1, 0)
+                with workers.workers(jobs, scheduler) as crew:
+                    workers.references(
+                        crew, scene, shot, range(begin, chosen.frames),
+                        chosen.reference_samples, chosen.average, tell,
+                    )  # fmt: skip
+            result = compare.compare(shot, chosen, tell, journal)
             report.write(
                 result, folder, progress=lambda text: tell(f"writing {text}", 1, 1)
             )
     console = Console(soft_wrap=True, highlight=False)
     Console(highlight=False).print(report.terminal(result))
-    terminal.notes(console, result.notes)
+    idle = workers.notes(jobs, scheduler, needed=renders)
+    terminal.notes(console, [*result.notes, *idle])
     terminal.wrote(
         console,
         final,
         "index.html strip.png hero.png scores.csv frames.csv plots/ frames/ mask/ why/ "
         "timings.csv",
     )
-
-
-def _load(
-    scene: str,
-    camera: str | None,
-    motion: str | None,
-    extent: tuple[int, int],
-    wish: "effects.Wish | None" = None,
-) -> tuple["world.World", "paths.CameraPath"]:
-    """Loads a scene, lit and exposed for the camera at which the path starts."""
-    from ataa_jax import paths
-    from ataa_jax import world as worlds
-
-    text = camera or "walk"
-    paths.load(text, motion)  # so that a mistake is told before a long read
-    source = worlds.read(scene)
-    path = paths.load(text, motion, [known.name for known in source.cameras])
-    return worlds.prepare(source, camera=path.camera, size=extent, wish=wish), path
-
-
-def _wish(text: str | None) -> "effects.Wish | None":
-    """Reads `--effects`; None where it was not given."""
-    if text is None:
-        return None
-    from ataa_jax import effects
-
-    return effects.parse(text)
 
 
 def _prepare(
@@ -355,10 +355,10 @@ def _prepare(
     budget = pipeline.BUDGET if asked is None else asked
     if not budget >= 0.0:
         raise InputError(f"--budget must be at least 0 rays a pixel, not {budget}")
-    wish = _wish(options.pop("effects", None))
+    wish = loading.wish(options.pop("effects", None))
     table = parameters.read(params) if params is not None else {}
     report("loading the scene", 0, 1)
-    loaded, path = _load(scene, camera, motion, extent, wish)
+    loaded, path = loading.load(scene, camera, motion, extent, wish)
     if table:
         config, numbers = pipeline.preset("tuned", loaded.scene, extent, budget=budget)
         where = f"parameter file {params}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ataa_jax.cli import fit_sources, given, terminal
+from ataa_jax.cli import fit_sources, given, terminal, workers
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,6 +71,8 @@ def fit(
     taa: Annotated[bool, typer.Option("--taa", help="Also TAA's own numbers.")] = False,
     seed: Annotated[int, typer.Option(help="Of all that is drawn by chance.")] = 0,
     output: ResultFile = Path("params.toml"),
+    jobs: given.Jobs = 1,
+    scheduler: given.Scheduler = None,
     traceback: given.Traceback = False,
 ) -> None:
     """Fits the segmentation's weights and threshold to a ray budget."""
@@ -89,6 +91,7 @@ def fit(
             raise InputError(f"{name} must be one of {', '.join(known)}, not '{value}'")
     if output.suffix.lower() != ".toml":
         raise InputError(f"--output must be a .toml file, not '{output}'")
+    workers.check(jobs, scheduler)
     from ataa_jax import cache, files
     from ataa_jax import fit as fits
 
@@ -123,19 +126,20 @@ def fit(
         if planned.captures:
             fits.check_terms(options.terms)
         recorded, hashes = [], {}
-        for made, content in fit_sources.record(planned, report):
-            recorded.append(made)
-            hashes[made.name] = content
+        with workers.workers(jobs, scheduler, needed=planned.renders) as crew:
+            for made, content in fit_sources.record(planned, report, crew):
+                recorded.append(made)
+                hashes[made.name] = content
         seen, unseen = recorded[: len(scene)], recorded[len(scene) :]
         kept = fits.checkpoints_of(seen, options, cache.folder() / "fit")
         found = fits.fit(
             seen, options, held_out=unseen, checkpoints=kept, progress=report
         )
     fits.write(found, hashes, output)
-    _show(found, output)
+    _show(found, output, workers.notes(jobs, scheduler, needed=planned.renders))
 
 
-def _show(found: "Fitted", output: Path) -> None:
+def _show(found: "Fitted", output: Path, notes: list[str]) -> None:
     console = Console(soft_wrap=True, highlight=False)
     rows = [_row(each, "") for each in found.standings]
     rows += [_row(each, " *") for each in found.held_out]
@@ -146,6 +150,7 @@ def _show(found: "Fitted", output: Path) -> None:
         "carried: the file untouched",
         *(["*: held out"] if found.held_out else []),
         *found.notes,
+        *notes,
     ]
     terminal.notes(console, told)
     console.print(f"\nWrote {output}; use it with --params", markup=False)

@@ -13,8 +13,10 @@ from ataa_jax.cli.terminal import Report
 from ataa_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from ataa_jax import world
     from ataa_jax.capture import Capture
     from ataa_jax.fit import Recording
+    from ataa_jax.jobs import Crew
 
 SIZE, REFERENCE_SAMPLES = (180, 320), 64
 
@@ -46,6 +48,11 @@ class Plan:
         rendered = self.asked.frames + self.asked.lead_in
         each = (self.captures.get(text) for text in self.texts)
         return sum(c[1] + c[0].first if c else rendered for c in each)
+
+    @property
+    def renders(self) -> bool:
+        """Whether any scene is among what is given."""
+        return len(self.captures) < len(set(self.texts))
 
 
 def plan(
@@ -88,12 +95,15 @@ def plan(
     )
 
 
-def record(planned: Plan, report: Report) -> Iterator[tuple["Recording", str]]:
+def record(
+    planned: Plan, report: Report, crew: "Crew | None" = None
+) -> Iterator[tuple["Recording", str]]:
     """Records one after the other.
 
     Args:
         planned: what.
         report: told of every frame.
+        crew: workers that render the frames of scenes beforehand.
 
     Yields:
         (Recording, hash of its content); no two of one name.
@@ -110,7 +120,7 @@ def record(planned: Plan, report: Report) -> Iterator[tuple["Recording", str]]:
         report(f"loading {text}", done, total)
         captured = planned.captures.get(text)
         if captured is None:
-            made, content = _rendered(text, planned, step)
+            made, content = _rendered(text, planned, step, crew)
         else:
             made, content = _read(*captured, planned, step)
         taken[made.name] = taken.get(made.name, 0) + 1
@@ -187,7 +197,7 @@ def _read(
 
 
 def _rendered(
-    text: str, planned: Plan, step: Callable[[str], None]
+    text: str, planned: Plan, step: Callable[[str], None], crew: "Crew | None"
 ) -> tuple["Recording", str]:
     from ataa_jax import fit as fits
     from ataa_jax import paths
@@ -199,12 +209,45 @@ def _rendered(
     known = [each.name for each in source.cameras]
     path = paths.load(camera or "walk", asked.motion, known)
     world = worlds.prepare(source, camera=path.camera, size=planned.size)
+    shot = worlds.sequence(world, path, planned.size)
+    samples = asked.reference_samples or REFERENCE_SAMPLES
+    if crew is not None:
+        _beforehand(crew, scene, shot, planned, samples, step)
     made = fits.record(
-        worlds.sequence(world, path, planned.size),
+        shot,
         frames=asked.frames,
         lead_in=asked.lead_in,
         samples=planned.samples,
-        reference_samples=asked.reference_samples or REFERENCE_SAMPLES,
-        progress=step,
+        reference_samples=samples,
+        progress=step if crew is None else lambda text: None,
     )
     return made, world.content_hash
+
+
+def _beforehand(
+    crew: "Crew",
+    scene: str,
+    shot: "world.Sequence",
+    planned: Plan,
+    reference_samples: int,
+    step: Callable[[str], None],
+) -> None:
+    """Has workers render what a recording reads."""
+    from ataa_jax import jobs
+
+    asked = planned.asked
+    what = jobs.Records(
+        lead_in=asked.lead_in,
+        samples=planned.samples,
+        reference_samples=reference_samples,
+    )
+    told = 0
+
+    def progress(done: int, total: int) -> None:
+        nonlocal told
+        for frame in range(told, done):
+            step(f"recording {shot.world.name}, {frame + 1} of {total} frames")
+        told = done
+
+    frames = range(-asked.lead_in, asked.frames)
+    jobs.fill(crew, jobs.task(scene, shot, what, frames), progress)

@@ -83,6 +83,23 @@ Effects = Annotated[
 ReferenceSamples = Annotated[int, typer.Option(help="Samples a pixel of the truth.")]
 LeadIn = Annotated[int, typer.Option(help="Frames before the first that is kept.")]
 Preset = Annotated[str, typer.Option(help="Constants: tuned, paper or ue4.")]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Processes that render references and recordings beforehand; results "
+        "do not depend on it. One that dies is replaced.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask scheduler, such as tcp://host:8786, whose workers do so instead: "
+        "with the same ataa_jax, and the scene under the same name. Needs "
+        "'ataa-jax[dask]'.",
+    ),
+]
 Traceback = Annotated[
     bool, typer.Option("--traceback", help="Show where an error came from.")
 ]

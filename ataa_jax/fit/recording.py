@@ -113,35 +113,96 @@ def record(
             f"a recording needs at least 1 frame, not {frames}, after a lead-in of at "
             f"least 0, not {lead_in}"
         )
-    config, params = pipeline.preset(
-        preset, shot.world.scene, shot.size, samples=samples, budget=float("inf")
+    recorder = Recorder.of(
+        shot,
+        lead_in=lead_in,
+        samples=samples,
+        reference_samples=reference_samples,
+        preset=preset,
     )
-    config, params = pipeline.with_criteria(config, params, "paper")
-    jitter = sampling.halton_jitter(
-        config.taa.jitter_length, centred=config.taa.jitter_centred
-    )
-    like = jax.eval_shape(partial(_like, shot.size))
     records = []
     for index in range(-lead_in, frames):
-        inputs = shot.inputs(index, jitter[(index + lead_in) % len(jitter)])
-        inputs = pipeline.with_cut(inputs, index == -lead_in)
-        spp = reference_samples if index >= 0 else 0
-        file = _file(shot, inputs, config, params, spp)
-        found = cache.read(file, like) if use_cache else None
-        if found is None:
-            found = _render(shot, index, inputs, config, params, spp, use_cache)
-            if use_cache:
-                cache.write(file, found, CACHE_LIMIT_BYTES)
-        records.append(found)
+        records.append(recorder.record(index, use_cache=use_cache))
         progress(f"recording {shot.world.name}, frame {index + lead_in + 1}")
     stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *records)
     return Recording(
         name=f"{shot.world.name}:{shot.path.name}",
         frames=stacked,
         lead_in=lead_in,
-        config=config,
-        params=params,
+        config=recorder.config,
+        params=recorder.params,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Recorder:
+    """What decides the record of every frame of a sequence; frames are independent."""
+
+    shot: Sequence
+    lead_in: int
+    reference_samples: int
+    config: pipeline.Config
+    params: pipeline.Params
+
+    @classmethod
+    def of(
+        cls,
+        shot: Sequence,
+        *,
+        lead_in: int,
+        samples: int,
+        reference_samples: int,
+        preset: str,
+    ) -> "Recorder":
+        """Returns the recorder of a sequence; arguments and errors as of `record`."""
+        config, params = pipeline.preset(
+            preset, shot.world.scene, shot.size, samples=samples, budget=float("inf")
+        )
+        config, params = pipeline.with_criteria(config, params, "paper")
+        return cls(shot, lead_in, reference_samples, config, params)
+
+    def inputs(self, index: int) -> FrameInputs:
+        """Returns the operands of a frame, from −`lead_in` on, with its jitter."""
+        jitter = sampling.halton_jitter(
+            self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
+        )
+        phase = (index + self.lead_in) % len(jitter)
+        inputs = self.shot.inputs(index, jitter[phase])
+        return pipeline.with_cut(inputs, index == -self.lead_in)
+
+    def samples_of(self, index: int) -> int:
+        """Returns the samples a pixel of a frame's truth; the lead-in has none."""
+        return self.reference_samples if index >= 0 else 0
+
+    def cache_file(self, index: int) -> Path:
+        """Returns where the cache keeps the record of a frame, if it does."""
+        return _file(
+            self.shot,
+            self.inputs(index),
+            self.config,
+            self.params,
+            self.samples_of(index),
+        )
+
+    def record(self, index: int, *, use_cache: bool = True) -> Recorded:
+        """Returns the record of a frame, from the cache where it has it."""
+        file = self.cache_file(index)
+        if use_cache:
+            like = jax.eval_shape(partial(_like, self.shot.size))
+            if (found := cache.read(file, like)) is not None:
+                return found
+        made = _render(
+            self.shot,
+            index,
+            self.inputs(index),
+            self.config,
+            self.params,
+            self.samples_of(index),
+            use_cache,
+        )
+        if use_cache:
+            cache.write(file, made, CACHE_LIMIT_BYTES)
+        return made
 
 
 def _render(

@@ -1,0 +1,33 @@
+"""Scenes as the commands are given them, loaded and bound to a camera path."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ataa_jax import effects, paths, world
+
+
+def load(
+    scene: str,
+    camera: str | None,
+    motion: str | None,
+    extent: tuple[int, int],
+    wish: "effects.Wish | None" = None,
+) -> tuple["world.World", "paths.CameraPath"]:
+    """Loads a scene, lit and exposed for the camera at which the path starts."""
+    from ataa_jax import paths
+    from ataa_jax import world as worlds
+
+    text = camera or "walk"
+    paths.load(text, motion)  # so that a mistake is told before a long read
+    source = worlds.read(scene)
+    path = paths.load(text, motion, [known.name for known in source.cameras])
+    return worlds.prepare(source, camera=path.camera, size=extent, wish=wish), path
+
+
+def wish(text: str | None) -> "effects.Wish | None":
+    """Reads `--effects`; None where it was not given."""
+    if text is None:
+        return None
+    from ataa_jax import effects
+
+    return effects.parse(text)
