@@ -1,6 +1,14 @@
 """How many bits do history and G-buffer need?
 
-Found: FILL
+Found: with the default preset nothing drifts. Kept in float16 the composite is off by
+5e-5 on average from frame 10 to frame 1,000, an 80th of a step of 8 bits, and 0.1 % of
+the pixels get another method; in bfloat16 by 3e-4 (0.7 %), in float32 by 3e-8 (none). A
+plain mean of all frames does drift in 16 bits, for what a frame adds falls under the
+history's last bit: float16 is off by 6e-5 after 10 frames and 0.003 after 1,000,
+bfloat16 by 0.014, float32 by 2e-7. 16 bits halve the history (28 to 14 bytes a pixel)
+and save no time on a CPU, which computes in float32. Hence the default: float32, with
+which a still image converges; float16 for who has the default's running mean and
+little memory; bfloat16 for nobody.
 
 1,000 frames at 160×90 of the built-in scene, a still camera (jittered) and one that
 circles; with the default preset, and ("mean") with TAA as a plain mean of all frames,
