@@ -157,11 +157,10 @@ def violations(output: pipeline.FrameOutput) -> dict[str, int]:
         name: np.asarray(colors.sanitize(image))
         for name, image in (("raw", output.raw), ("traced", output.traced))
     }
-    own = (clean["raw"], taa, clean["traced"])
     unlike = sum(
         int(np.sum((composite != image).any(axis=-1) & where))
-        for where, image in zip((fxaa, kept, traced), own, strict=True)
-    )
+        for where, image in ((fxaa, clean["raw"]), (kept, taa))
+    ) + _not_joined(composite, taa, clean["traced"], traced)
     score = np.asarray(output.segmentation.score)
     motion, depth = np.asarray(output.gbuffer.motion), np.asarray(output.gbuffer.depth)
     statistics = output.statistics
@@ -181,6 +180,24 @@ def violations(output: pipeline.FrameOutput) -> dict[str, int]:
         "counts": abs(int(statistics.ataa_pixels) - int(traced.sum()))
         + abs(int(statistics.fxaa_pixels) - int(fxaa.sum())),
     }
+
+
+def _not_joined(
+    composite: np.ndarray, taa: np.ndarray, traced: np.ndarray, where: np.ndarray
+) -> int:
+    """Traced pixels that do not lie between TAA's result and their rays, tone-mapped.
+
+    Two rays or more join a history of three frames at most: theirs are 2/5 or more.
+    """
+    shown, old, new = (
+        np.asarray(colors.tonemap(jnp.asarray(image)), np.float64)
+        for image in (composite, taa, traced)
+    )
+    slack = 4e-6  # the roundings of the way there and back
+    whole, left = np.abs(new - old), np.abs(new - shown)
+    between = left + np.abs(shown - old) <= whole + slack
+    near = left <= whole * (3 / 5) + slack
+    return int(np.sum(~(between & near).all(axis=-1) & where))
 
 
 def _outside_hull(raw: np.ndarray, taa: np.ndarray, where: np.ndarray) -> int:
