@@ -18,7 +18,7 @@ from ataa_jax.vector import Vec3
 
 # Perceptual roughness below this makes GGX's peak exceed what float32 and eight
 # samples resolve (Filament's documentation, 4.8.3.1, gives 0.045 for float32).
-_MIN_ROUGHNESS = 0.045
+MIN_ROUGHNESS = 0.045
 
 # our choice: below this roughness a surface is a mirror and no less; between it and
 # MIRROR_ROUGHNESS the reflection ray fades into the sky's blurred reflection.
@@ -148,7 +148,7 @@ def evaluate(
     if config.reflections:
         fade = (MIRROR_ROUGHNESS - roughness) * (1.0 / (MIRROR_ROUGHNESS - _FULL))
         mirror = jnp.where(row.mirror > 0.0, jnp.clip(fade, 0.0, 1.0), 0.0)
-    roughness = jnp.clip(roughness, _MIN_ROUGHNESS, 1.0)
+    roughness = jnp.clip(roughness, MIN_ROUGHNESS, 1.0)
     metallic = jnp.clip(metallic, 0.0, 1.0)
     diffuse = base * (1.0 - metallic)
     opacity = transmittance = None

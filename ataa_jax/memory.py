@@ -7,7 +7,6 @@ leave hundreds of megabytes of them, beside which a frame then needs its own: at
 
 import ctypes
 import functools
-import gc
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -41,7 +40,6 @@ def peak() -> int:
 
 def release() -> None:
     """Gives freed memory back to the system; does nothing where libc cannot."""
-    gc.collect()
     _trim()(0)
 
 
@@ -51,7 +49,7 @@ def release_after_compiling() -> None:
 
     def heard(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event == _COMPILED and duration_secs > _LONG_COMPILE_S:
-            _trim()(0)
+            release()
 
     jax.monitoring.register_event_duration_secs_listener(heard)
 

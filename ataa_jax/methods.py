@@ -257,7 +257,7 @@ class _Adaptive(Runner):
         if samples is None:
             self.config = replace(self.config, adaptive=False)
         self.samples = samples
-        self.state = pipeline.init(shot.size)
+        self.state = pipeline.init(shot.size, self.config.resolve.history)
         self.jitter = sampling.halton_jitter(
             self.config.taa.jitter_length, centred=self.config.taa.jitter_centred
         )

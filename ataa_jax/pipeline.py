@@ -210,7 +210,8 @@ def antialias(
             "resolve",
             resolve.resolve(
                 segmented, color, gbuffer, blended, traced.color, params.resolve,
-                samples=config.raytrace.samples, config=config.resolve,
+                samples=config.raytrace.samples, average=config.raytrace.average,
+                config=config.resolve,
             ),
         )  # fmt: skip
     image = colors.display(resolved.composite)

@@ -72,14 +72,18 @@ def keep() -> None:
 
 def _processor() -> str:
     """Names the instruction set: a program compiled for another could crash."""
-    flags = platform.processor()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        flags += next((x for x in lines if x.startswith(("flags", "Features"))), "")
-    except OSError:  # not Linux
-        pass
+    flags = platform.processor() + processor_flags()
     digest = hashlib.blake2b(flags.encode(), digest_size=6).hexdigest()
     return f"{platform.machine()}-{digest}"
+
+
+def processor_flags() -> str:
+    """Returns the line of the system's that lists the processor's abilities, or ""."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:  # not Linux
+        return ""
+    return next((x for x in lines if x.startswith(("flags", "Features"))), "")
 
 
 def prune(place: Path, limit_bytes: int, pattern: str = "*") -> None:

@@ -16,10 +16,10 @@ from ataa_jax.surface import Surface, interpolate, lifted
 from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Rays, Scene, Sky
 from ataa_jax.vector import Vec3
 
-_MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
+MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
 # our choice: a shadow ray ends this share of its length before the light, as large as
 # the share of the coordinates by which it leaves its surface (`surface.lifted`).
-_SHORT = 2.0**-16
+SHORT = 2.0**-16
 
 
 class Mirror(eqx.Module):
@@ -308,7 +308,7 @@ def _shadow_ray(
     directional = jnp.broadcast_to(light.kind == LIGHT_DIRECTIONAL, start.x.shape)
     aim = vector.unstack(light.position) - start
     return vector.select(directional, toward, aim), jnp.where(
-        directional, jnp.inf, jnp.float32(1.0 - _SHORT)
+        directional, jnp.inf, jnp.float32(1.0 - SHORT)
     )
 
 
@@ -317,7 +317,7 @@ def _incident(light: Lights, point: Vec3) -> tuple[Vec3, Vec3]:
     travel = vector.unstack(light.direction)
     offset = vector.unstack(light.position) - point
     toward_point = vector.normalize(offset)
-    squared = jnp.maximum(vector.dot(offset, offset), _MIN_SQUARED_DISTANCE)
+    squared = jnp.maximum(vector.dot(offset, offset), MIN_SQUARED_DISTANCE)
     # KHR_lights_punctual: window = clamp(1 − (d/range)⁴, 0, 1), over d².
     window = jnp.clip(1.0 - (squared / (light.range * light.range)) ** 2, 0.0, 1.0)
     cos_angle = -vector.dot(toward_point, travel)

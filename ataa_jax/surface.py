@@ -21,7 +21,7 @@ from ataa_jax.vector import Vec3
 # A ray starts off its surface by this share of the largest coordinate on the way there:
 # 2^8 ulp, the figure of Wächter and Binder (Ray Tracing Gems, chapter 6), without their
 # absolute term, so that a scene scaled by 2^k casts the same rays.
-_OFFSET = 2.0**-16
+OFFSET = 2.0**-16
 
 
 class Uv(eqx.Module):
@@ -129,7 +129,7 @@ def interpolate(
 def lifted(surface: Surface, side: float = 1.0) -> Vec3:
     """Returns where rays leave the surface: on the viewer's side, or (−1) beyond it."""
     return surface.position + surface.geometric_normal * (
-        surface.magnitude * (_OFFSET * side)
+        surface.magnitude * (OFFSET * side)
     )
 
 

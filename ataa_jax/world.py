@@ -196,10 +196,7 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
-    memory.release_after_compiling()
-    world = prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
-    memory.release()  # of what was read and is packed now
-    return world
+    return prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
 
 
 def read(path: str | Path) -> SceneSource:
@@ -222,6 +219,7 @@ def prepare(
     wish: effects.Wish | None = None,
 ) -> World:
     """Turns a scene description into a world; see `load`."""
+    memory.release_after_compiling()
     packed, notes = scenes.pack(source)
     notes = [*source.warnings, *notes]
     tracer = embree.build(packed, backend=backend)
@@ -274,6 +272,7 @@ def prepare(
             *effects.look_at_motion(source.duration > 0.0),
         ],
     )
+    memory.release()  # what packing and measuring left
     return world if wish is None else wished(world, wish, backend=backend)
 
 

@@ -89,14 +89,21 @@ def recorded(shot: worlds.Sequence) -> Iterator[Recorded]:
             world.scene, inputs, jnp.ones(SIZE, bool),
             tracer=world.tracer, config=config.raytrace,
         )  # fmt: skip
-        yield Recorded(
-            color=drawn.color,
-            gbuffer=drawn.gbuffer,
-            traced=traced.color,
-            truth=jnp.zeros((*SIZE, 3), jnp.float32),
-            jitter=inputs.jitter,
-            cut=inputs.cut,
-        )
+        yield without_truth(inputs, drawn, traced.color)
+
+
+def without_truth(
+    inputs: types.FrameInputs, drawn: raster.RasterOutput, traced: jax.Array
+) -> Recorded:
+    """Returns a frame's record; nothing here reads the truth."""
+    return Recorded(
+        color=drawn.color,
+        gbuffer=drawn.gbuffer,
+        traced=traced,
+        truth=jnp.zeros_like(drawn.color),
+        jitter=inputs.jitter,
+        cut=inputs.cut,
+    )
 
 
 @partial(jax.jit, static_argnames=("config", "gbuffer"))
@@ -245,17 +252,7 @@ def _timed_operands(
             "tuned", world.scene, TIMED_SIZE, budget=float("inf")
         )
         drawn = playback.draw(shot, config, params, range(2))
-        frames = [
-            Recorded(
-                color=each.color,
-                gbuffer=each.gbuffer,
-                traced=each.color,
-                truth=jnp.zeros((*TIMED_SIZE, 3), jnp.float32),
-                jitter=inputs.jitter,
-                cut=inputs.cut,
-            )
-            for inputs, each in drawn
-        ]
+        frames = [without_truth(*each, each[1].color) for each in drawn]
     config = replace(config, resolve=resolve.Config(history=kept_as))
     if kept_as == "float64":
         frames, params = double(frames), double(params)

@@ -85,6 +85,11 @@ def test_equal_colours_join_to_that_colour_and_no_firefly_outweighs():
     _, _, _, _, blended, _ = frame((6, 5))
     seen = resolve.traced_pixel(blended, blended.color, 4, config=config)
     np.testing.assert_allclose(seen, blended.color, rtol=1e-6, atol=1e-7)
+    linear = resolve.traced_pixel(
+        blended, 2.0 * blended.color, 4, average="linear", config=config
+    )
+    share = 4.0 / (4.0 + blended.count[..., None])
+    np.testing.assert_allclose(linear, blended.color * (1.0 + share), rtol=1e-6)
     # One frame saw the largest radiance, seven rays see 0: the mean of the mapped
     # colours is 1/8, which leads back to 1/7.
     history = Blended(color=jnp.full((6, 5, 3), 65504.0), count=jnp.ones((6, 5)))

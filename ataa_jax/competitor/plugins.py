@@ -22,11 +22,11 @@ import mitsuba as mi
 import numpy as np
 
 from ataa_jax import types
+from ataa_jax.material import MIN_ROUGHNESS
 from ataa_jax.mipmap import decode_srgb
+from ataa_jax.shading import MIN_SQUARED_DISTANCE, SHORT
+from ataa_jax.surface import OFFSET
 
-_MIN_ROUGHNESS = 0.045  # as `material`
-_MIN_SQUARED_DISTANCE = 2.0**-40  # as `shading`
-_OFFSET = 2.0**-16  # as `surface.lifted`, of the largest coordinate
 _MODES = {
     types.WRAP_REPEAT: dr.WrapMode.Repeat,
     types.WRAP_CLAMP: dr.WrapMode.Clamp,
@@ -185,7 +185,7 @@ class GltfBsdf(mi.BSDF):
         if row.metallic_roughness_image is not None:
             green, blue = row.metallic_roughness_image(si.uv, active)
             roughness, metallic = roughness * green, metallic * blue
-        roughness = dr.clip(roughness, _MIN_ROUGHNESS, 1.0)
+        roughness = dr.clip(roughness, MIN_ROUGHNESS, 1.0)
         return base, opacity, dr.clip(metallic, 0.0, 1.0), roughness
 
     @no_type_check
@@ -262,7 +262,7 @@ class Lamp(mi.Emitter):
     def sample_direction(self, it, sample, active=True):
         """Returns the way to the light, and `shading`'s irradiance across it."""
         offset = self.position - it.p
-        squared = dr.maximum(dr.squared_norm(offset), _MIN_SQUARED_DISTANCE)
+        squared = dr.maximum(dr.squared_norm(offset), MIN_SQUARED_DISTANCE)
         found = dr.zeros(mi.DirectionSample3f)
         found.p, found.time = self.position, it.time
         found.pdf, found.delta, found.emitter = 1.0, True, mi.EmitterPtr(self)
@@ -365,7 +365,7 @@ class DirectLight(mi.SamplingIntegrator):
         value = si.bsdf().eval(mi.BSDFContext(), si, wo, active) * weight
         lit = active & dr.any(value > 0.0)
         ray = mi.Ray3f(_lifted(si, toward.d), toward.d)
-        ray.maxt = toward.dist * (1.0 - _OFFSET)
+        ray.maxt = toward.dist * (1.0 - SHORT)
         lit = lit & ~self.solid.ray_test(ray, lit)
         if self.clear is not None:
             value = value * self._passed(ray, lit)
@@ -402,7 +402,7 @@ def _behind(found, ray, active):
 def _lifted(si, direction):
     """Returns where a ray leaves a surface; see `surface.lifted`."""
     side = dr.select(dr.dot(si.n, direction) < 0.0, -1.0, 1.0)
-    return si.p + si.n * (side * _OFFSET * dr.max(dr.abs(si.p)))
+    return si.p + si.n * (side * OFFSET * dr.max(dr.abs(si.p)))
 
 
 @no_type_check

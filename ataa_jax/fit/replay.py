@@ -141,6 +141,7 @@ def composed(
         recorded.traced,
         params.resolve,
         samples=config.raytrace.samples,
+        average=config.raytrace.average,
         config=config.resolve,
     )
     after = State(history=resolved.history, classification=resolved.classification)
@@ -151,10 +152,11 @@ def traced_pixel(
     recorded: Recorded, blended: taa.TaaOutput, config: pipeline.Config
 ) -> Float[Array, "h w 3"]:
     """Returns what each pixel shows if it is traced, linear."""
-    samples = config.raytrace.samples
+    rays = config.raytrace
     return resolve.traced_pixel(
-        blended, recorded.traced, samples, config=config.resolve
-    )
+        blended, recorded.traced, rays.samples,
+        average=rays.average, config=config.resolve,
+    )  # fmt: skip
 
 
 @partial(jax.jit, static_argnames=("config", "choose", "shown"))
@@ -198,7 +200,9 @@ def replayable(config: pipeline.Config) -> pipeline.Config:
         raster=replace(pipeline.Config().raster, size=config.raster.size),
         taa=config.taa,
         segmentation=config.segmentation,
-        raytrace=raytrace.Config(samples=config.raytrace.samples),
+        raytrace=raytrace.Config(
+            samples=config.raytrace.samples, average=config.raytrace.average
+        ),
         resolve=config.resolve,
         fxaa=config.fxaa,
     )

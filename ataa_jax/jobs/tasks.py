@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ataa_jax import cache as caches
 from ataa_jax import color as colors
-from ataa_jax import effects, paths, reference
+from ataa_jax import effects, paths, programs, reference
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.fit import recording
@@ -197,13 +197,8 @@ def receive(given: Task, files: dict[str, bytes]) -> None:
 @cache
 def processor() -> str:
     """Names what decides the last bits of a result: the vector instructions."""
-    flags: set[str] = set()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        line = next(x for x in lines if x.startswith(("flags", "Features")))
-        flags = {flag for flag in line.split() if flag.startswith(_VECTORS)}
-    except (OSError, StopIteration):  # not Linux
-        flags = {platform.processor()}
+    listed = programs.processor_flags().split() or [platform.processor()]
+    flags = {flag for flag in listed if flag.startswith(_VECTORS)} or set(listed)
     return " ".join([platform.machine(), *sorted(flags)])
 
 

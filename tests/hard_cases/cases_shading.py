@@ -225,7 +225,7 @@ def _glossy(count: int, roughness: float) -> material.Material:
         return jnp.full(count, value, jnp.float32)
 
     normal = Vec3(full(0.0), full(0.0), full(1.0))
-    rough = max(roughness, material._MIN_ROUGHNESS)
+    rough = max(roughness, material.MIN_ROUGHNESS)
     return material.Material(
         diffuse=Vec3(*(full(0.5),) * 3), f0=Vec3(*(full(0.04),) * 3),
         alpha=full(rough * rough), roughness=full(rough), emissive=None,
