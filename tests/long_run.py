@@ -30,7 +30,7 @@ def main(frames: int, size: tuple[int, int], cpus: str, dispatch: str) -> None:
     # it makes its client, for which the other modules' constants are reason enough.
     jax.config.update("jax_cpu_enable_async_dispatch", dispatch == "async")
     assert not xla_bridge.backends_are_initialized()
-    from ataa_jax import pipeline
+    from ataa_jax import memory, pipeline
     from ataa_jax import world as worlds
     from ataa_jax.builtin import failures
 
@@ -52,6 +52,7 @@ def main(frames: int, size: tuple[int, int], cpus: str, dispatch: str) -> None:
         if index % 50 == 49:
             assert np.all(np.isfinite(np.asarray(output.image)))
             gc.collect()
+            memory.release()  # freed pieces that the allocator keeps are not held
             held = (process.memory_info().rss, process.num_threads(), process.num_fds())
             samples.append((index, *held, len(jax.live_arrays())))
     print(json.dumps({"samples": samples, "late_programs": len(compiled) - early}))
