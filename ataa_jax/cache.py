@@ -9,6 +9,7 @@ import hashlib
 import inspect
 import os
 import tempfile
+import weakref
 import zipfile
 from collections.abc import Callable
 from functools import cache
@@ -33,6 +34,8 @@ __all__ = [
 ]
 
 Tree = TypeVar("Tree")
+
+_LARGE_BYTES = 1 << 20  # our choice: under it a hash takes a millisecond
 
 
 @cache
@@ -60,10 +63,27 @@ def content_hash(tree: Any) -> str:
     """Hashes every array of a tree, with its shape and type."""
     digest = hashlib.blake2b(digest_size=20)
     for leaf in jax.tree.leaves(tree):
-        array = np.asarray(leaf)
-        digest.update(f"{array.shape} {array.dtype}".encode())
-        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+        digest.update(_array_hash(leaf))
     return digest.hexdigest()
+
+
+_known: dict[int, tuple[weakref.ref[jax.Array], bytes]] = {}
+
+
+def _array_hash(leaf: Any) -> bytes:
+    """Hashes one array; a large one of JAX's, which cannot change, only once."""
+    lasting = isinstance(leaf, jax.Array) and leaf.nbytes >= _LARGE_BYTES
+    held = _known.get(id(leaf)) if lasting else None
+    if held is not None and held[0]() is leaf:
+        return held[1]
+    array = np.asarray(leaf)
+    digest = hashlib.blake2b(f"{array.shape} {array.dtype}".encode(), digest_size=20)
+    digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    found = digest.digest()
+    if lasting:
+        key = id(leaf)
+        _known[key] = weakref.ref(leaf, lambda _: _known.pop(key, None)), found
+    return found
 
 
 def read(file: Path, like: Tree) -> Tree | None:

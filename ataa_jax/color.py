@@ -13,11 +13,10 @@ the stages compute in; their namesakes take images with a trailing axis of three
 
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ataa_jax import vector
+from ataa_jax import exported, vector
 from ataa_jax.vector import Vec3
 
 # The space in which samples are averaged: tone-mapped, or linear radiance.
@@ -170,7 +169,7 @@ def srgb_decode(encoded: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(encoded <= _SRGB_ENCODED_END, encoded / 12.92, base**2.4)
 
 
-@jax.jit
+@exported.jit()
 def display(
     linear: Float[Array, "*n 3"], exposure: float | Float[Array, ""] = 1.0
 ) -> Float[Array, "*n 3"]:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import color as colors
-from ataa_jax import compact, window
+from ataa_jax import compact, exported, window
 
 # Lengths of the search's steps, px (FXAA 3.11, FXAA_QUALITY__P0 and following).
 STEPS: dict[int, tuple[float, ...]] = {
@@ -67,7 +67,7 @@ def default_params(
     )
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def fxaa(
     image: Float[Array, "h w 3"], params: Params, *, config: Config
 ) -> Float[Array, "h w 3"]:
@@ -85,7 +85,7 @@ def fxaa(
     return fxaa_sparse(image, everywhere, params, config=config)
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def fxaa_sparse(
     image: Float[Array, "h w 3"],
     needed: Bool[Array, "h w"],

@@ -57,6 +57,11 @@ def target(function: HostFunction) -> HostFunction:
     return function
 
 
+def names() -> list[str]:
+    """Returns the names of all targets."""
+    return list(_names.values())
+
+
 def call(
     function: HostFunction,
     results: tuple[jax.ShapeDtypeStruct, ...],

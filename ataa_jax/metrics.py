@@ -9,7 +9,6 @@ import importlib.util
 from typing import cast
 
 import numpy as np
-from skimage.metrics import structural_similarity
 
 SSIM_MIN_SIZE = 11  # the Gaussian window of σ = 1.5, truncated at 3.5 σ
 BORDER = 5
@@ -22,6 +21,8 @@ def ssim(image: np.ndarray, reference: np.ndarray) -> float:
         image: (h, w, 3) sRGB in [0, 1].
         reference: the same shape.
     """
+    from skimage.metrics import structural_similarity  # here: it imports slowly
+
     if min(image.shape[:2]) < SSIM_MIN_SIZE:
         return float("nan")
     return float(

@@ -25,13 +25,13 @@ On the command line a path is named by a text, read by the first rule that fits:
 4. ``CAMERA:KIND``, split at the last colon, if what follows it is such a kind.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from ataa_jax import files
@@ -155,7 +155,7 @@ def _keyframed(path: CameraPath, camera: CameraSource, frame: int, time: float) 
         for name in ("position", "target")
     )
     fov = [camera.fov_y if key.fov_y is None else key.fov_y for key in keys]
-    fov_y = float(PchipInterpolator(at, fov)(clamped))
+    fov_y = float(_curve(at, fov)(clamped))
     return Pose(look_at(position, target), fov_y, time)
 
 
@@ -165,11 +165,17 @@ def _along(at: list[float], values: np.ndarray, frame: float) -> np.ndarray:
     Before the first key the motion of the first frame goes on backwards, so that a
     sequence does not start with a jerk; after the last key all stands still.
     """
-    curve = PchipInterpolator(at, values)
+    curve = _curve(at, values)
     if frame >= at[0]:
         return curve(min(frame, at[-1]))
     step = curve(min(at[0] + 1.0, at[-1])) - values[0]
     return values[0] + step * (frame - at[0])
+
+
+def _curve(at: list[float], values: Any) -> Callable[[float], np.ndarray]:
+    from scipy.interpolate import PchipInterpolator  # here: it imports slowly
+
+    return PchipInterpolator(at, values)
 
 
 def _from_toml(file: Path) -> CameraPath:

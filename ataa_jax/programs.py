@@ -10,6 +10,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import sys
 from pathlib import Path
 
@@ -48,6 +49,14 @@ def clear() -> None:
         shutil.rmtree(folder() / kind, ignore_errors=True)
 
 
+_kept = False
+
+
+def kept() -> bool:
+    """Returns whether programs are kept: whether `keep` was called in time."""
+    return _kept
+
+
 def keep() -> None:
     """Has JAX keep programs for the next process; best called before it is imported.
 
@@ -58,6 +67,8 @@ def keep() -> None:
     imported = sys.modules.get("jax")
     if imported is not None and imported.config.jax_compilation_cache_dir is not None:
         return
+    global _kept
+    _kept = True
     for name, value in (
         ("jax_compilation_cache_dir", str(place)),
         # our choice: what compiles faster is not worth a file.
@@ -93,6 +104,8 @@ def prune(place: Path, limit_bytes: int, pattern: str = "*") -> None:
         try:  # another process may remove it too
             state = file.stat()
         except OSError:
+            continue
+        if not stat.S_ISREG(state.st_mode):
             continue
         found.append((state.st_mtime, state.st_size, file))
     total = sum(size for _, size, _ in found)

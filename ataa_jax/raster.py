@@ -9,7 +9,6 @@ previous − current position of the sampled point in px, so the jitter cancels.
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
-from ataa_jax import embree, transport, vector
+from ataa_jax import embree, exported, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
 from ataa_jax.shading import clear_of
 from ataa_jax.surface import Surface, interpolate, previous_position
@@ -67,7 +66,7 @@ class RasterOutput(eqx.Module):
         return jnp.sum(self.rays.shadow, dtype=jnp.int32)
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def raster(
     scene: Scene,
     inputs: FrameInputs,

@@ -10,7 +10,6 @@ chunks as it has pixels.
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal
 
 import equinox as eqx
@@ -20,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
 from ataa_jax import color as colors
-from ataa_jax import compact, embree, sampling, shading, transport, vector
+from ataa_jax import compact, embree, exported, sampling, shading, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
 from ataa_jax.types import FrameInputs, Lights, Rays, Scene
 
@@ -76,7 +75,7 @@ def nothing(size: tuple[int, int], lights: Lights | None) -> RaytraceOutput:
     )
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def raytrace(
     scene: Scene,
     inputs: FrameInputs,

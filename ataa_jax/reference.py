@@ -9,7 +9,6 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ataa_jax import cache, embree, exposure, raster, sampling
+from ataa_jax import cache, embree, exported, exposure, raster, sampling
 from ataa_jax import color as colors
 from ataa_jax.scene import SceneSource
 from ataa_jax.types import FrameInputs, Scene
@@ -95,7 +94,7 @@ def supersample(
     return Supersampled(color=color, thin=total[1] * scale)
 
 
-@partial(jax.jit, static_argnames=("config", "average"), donate_argnums=(3,))
+@exported.jit("config", "average", donate=("total",))
 def _add_sample(
     scene: Scene,
     inputs: FrameInputs,

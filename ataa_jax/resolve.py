@@ -7,16 +7,14 @@ this composite: traced pixels feed the next frame's TAA (paper, section 5).
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from ataa_jax import color as colors
-from ataa_jax import formats
+from ataa_jax import exported, formats
 from ataa_jax.types import (
     METHOD_ATAA,
     METHOD_FXAA,
@@ -112,7 +110,7 @@ def traced_pixel(
     return colors.from_average(old + share * (new - old), average)
 
 
-@partial(jax.jit, static_argnames=("average", "config"))
+@exported.jit("average", "config")
 def resolve(
     segmented: Segmentation,
     color: Float[Array, "h w 3"],

@@ -16,15 +16,14 @@ Border rule of every 3×3 and of every history read: clamp to edge.
 """
 
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import formats, terms, window
+from ataa_jax import exported, formats, terms, window
 from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
@@ -202,7 +201,7 @@ PRESETS: dict[str, tuple[Config, Params]] = {
 }
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def segment(
     state: State,
     color: Float[Array, "h w 3"],
@@ -235,7 +234,7 @@ def segment(
     return apply_budget(wanted, max_pixels)
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def segmentation(
     state: State,
     color: Float[Array, "h w 3"],

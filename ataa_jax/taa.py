@@ -11,16 +11,14 @@ linear radiance. Border rule of every neighbourhood and history read: clamp to e
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ataa_jax import color as colors
-from ataa_jax import formats, rectification, vector, window
+from ataa_jax import exported, formats, rectification, vector, window
 from ataa_jax.types import GBuffer, History
 from ataa_jax.vector import Vec3
 
@@ -130,7 +128,7 @@ class TaaOutput(eqx.Module):
     previous_px: Float[Array, "h w 2"]  # (row, column) it was read at, centres at +0.5
 
 
-@partial(jax.jit, static_argnames="config")
+@exported.jit("config")
 def taa(
     history: History,
     color: Float[Array, "h w 3"],

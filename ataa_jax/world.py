@@ -17,7 +17,6 @@ from ataa_jax import (
     gltf,
     lighting,
     memory,
-    mesh_files,
     paths,
     shading,
     types,
@@ -207,6 +206,8 @@ def read(path: str | Path) -> SceneSource:
         return builtin.garden_house()
     if Path(path).suffix.lower() in (".glb", ".gltf"):
         return gltf.load(path)
+    from ataa_jax import mesh_files  # here, for trimesh takes its time to import
+
     return mesh_files.load(path)
 
 

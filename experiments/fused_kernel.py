@@ -459,7 +459,10 @@ def measure(size: tuple[int, int], oracle_ms: float) -> list[str]:
             run()
             times[name].append(1e3 * (time.perf_counter() - start))
     (after, found), (blended, _, _, method, score) = stages(*given), fused(*host)
-    shown = [np.asarray(colors.display(image)) for image in (after.color, blended)]
+    shown = [
+        np.asarray(colors.display(jax.numpy.asarray(image)))
+        for image in (after.color, blended)
+    ]
     quartiles = {k: np.percentile(ms[1:], (50, 25, 75)) for k, ms in times.items()}
     total = oracle_ms * size[0] * size[1]
     jax_ms, numba_ms = quartiles["jax"][0], quartiles["numba"][0]

@@ -82,7 +82,7 @@ def sweep(name: str) -> list[tuple]:
                 current, jnp.exp(y[-1]), take.config.segmentation
             )
             pixels = relaxed.gather((take,), (own,), TERMS)
-            y = soft.at_price(y, pixels, price, take.samples)
+            y = soft.at_price(y, pixels, price, take.samples, quantities)
             current = soft.with_weights(current, quantities, jnp.exp(y[:-1]))
         own = space.with_threshold(current, jnp.exp(y[-1]), take.config.segmentation)
         fitted = score.as_is(take, own)

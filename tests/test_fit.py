@@ -277,10 +277,14 @@ def test_the_relaxed_fit_finds_the_term_that_tells_the_gain(solver):
     )
     points = jnp.asarray([[0.0, 0.0, -0.7]], jnp.float32)
     args = (pixels, _soft(jnp.float32, price=0.03))
-    found, losses, _ = soft.minimise(points, args, solver=solver)
+    limits = soft.limits_of(space.weights(("luminance", "depth", "response")))
+    found, losses, _ = soft.minimise(points, args, limits, solver=solver)
     assert losses[0] < relaxed.loss(points[0], args)
     assert found[0, 0] > 1.0
     assert found[0, 0] > found[0, 1] + 1.0
+    # The first term tells nothing: the others would grow without end.
+    assert jnp.all((found >= limits[0]) & (found <= limits[1]))
+    assert losses[0] == relaxed.loss(found[0], args)
 
 
 def test_the_oracle_is_above_chance_and_tracing_nothing_is_taa(take, recording):

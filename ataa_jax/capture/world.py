@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from ataa_jax import pipeline, raster, reference, sampling
@@ -87,6 +88,6 @@ def _frame(shot: Sequence, frame: int, jitter: np.ndarray) -> Frame:
     )
 
 
-def _samples(shot: Sequence, frame: int, offsets: np.ndarray) -> object:
+def _samples(shot: Sequence, frame: int, offsets: np.ndarray) -> jax.Array:
     inputs = shot.inputs(frame)
     return reference.supersample(shot.world, inputs, offsets, shot.size).color

@@ -7,7 +7,7 @@ soft mask spends the budget: at the optimum the dearest pixel traced is worth it
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -98,7 +98,9 @@ def fit(
         middle = float(np.mean(np.log([each.threshold for each in results])))
         start = jnp.concatenate([current, jnp.full((1,), middle, jnp.float32)])
         points = _starts(start, quantities, starts if int(done) == 0 else 1, seed)
-        y, priced, spent = _priced(points, pixels, budget, float(price), takes, solver)
+        y, priced, spent = _priced(
+            points, pixels, budget, float(price), takes, solver, quantities
+        )
         price = jnp.float32(priced)  # as it is kept: who goes on must go on alike
         moved = jnp.max(jnp.abs(y[:-1] - current), initial=0.0)
         current = y[:-1]
@@ -169,6 +171,7 @@ def _priced(
     price: float,
     takes: tuple[Take, ...],
     solver: Solver,
+    quantities: tuple[space.Quantity, ...],
 ) -> tuple[Float[Array, " k"], float, int]:
     """Moves the price until the soft mask spends the budget; anneals on the way.
 
@@ -176,7 +179,7 @@ def _priced(
         (the best start's point, price, evaluations).
     """
     samples = jnp.float32(takes[0].samples)
-    spent, best = 0, points[0]
+    spent, best, limits = 0, points[0], limits_of(quantities)
     schedule = [
         *relaxed.TEMPERATURES,
         *(relaxed.TEMPERATURES[-1],) * (PRICES - len(relaxed.TEMPERATURES)),
@@ -187,7 +190,7 @@ def _priced(
             price=jnp.float32(price),
             samples=samples,
         )
-        points, losses, steps = minimise(points, (pixels, soft), solver=solver)
+        points, losses, steps = minimise(points, (pixels, soft), limits, solver=solver)
         each = points.shape[1] + 1 if solver == "lm" else 2
         spent += each * int(jnp.sum(steps))
         losses = jnp.where(jnp.isfinite(losses), losses, jnp.inf)
@@ -204,6 +207,7 @@ def at_price(
     pixels: Pixels,
     price: float,
     samples: int,
+    quantities: tuple[space.Quantity, ...],
     *,
     solver: Solver = "lm",
 ) -> Float[Array, " k"]:
@@ -215,24 +219,54 @@ def at_price(
             price=jnp.float32(price),
             samples=jnp.float32(samples),
         )
-        points, _, _ = minimise(points, (pixels, soft), solver=solver)
+        points, _, _ = minimise(
+            points, (pixels, soft), limits_of(quantities), solver=solver
+        )
     return points[0]
+
+
+def limits_of(quantities: tuple[space.Quantity, ...]) -> Float[Array, "2 k"]:
+    """Returns the bounds of the logarithms; the threshold's are none that matter."""
+    bounds = [(q.low, q.high) for q in quantities]
+    rows = [*bounds, (np.exp(-30.0), np.exp(30.0))]
+    return jnp.asarray(np.log(rows).T, jnp.float32)
 
 
 @eqx.filter_jit
 def minimise(
-    points: Float[Array, "s k"], args: tuple[Pixels, Soft], *, solver: Solver
+    points: Float[Array, "s k"],
+    args: tuple[Pixels, Soft],
+    limits: Float[Array, "2 k"],
+    *,
+    solver: Solver,
 ) -> tuple[Float[Array, "s k"], Float[Array, " s"], Int[Array, " s"]]:
-    """Runs optimistix from several starts at once.
+    """Runs optimistix from several starts at once, within bounds.
+
+    Where the first term, whose weight stays 1, tells nothing, the others' weights would
+    grow without end, and limiting them afterwards would lose what they are to each
+    other. A point is y = m + r tanh(v), m and r the middle and half the range of the
+    bounds; the solvers walk in r v, whose steps are y's near the middle.
 
     Returns:
         (points, their losses, their steps).
     """
+    middle, reach = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
+
+    def bounded(v: Float[Array, " k"]) -> Float[Array, " k"]:
+        return middle + reach * jnp.tanh(v / reach)
+
+    def residuals(v: Float[Array, " k"], args: Any) -> tuple[Array, Array]:
+        return relaxed.residuals(bounded(v), args)
+
+    def loss(v: Float[Array, " k"], args: Any) -> Array:
+        return relaxed.loss(bounded(v), args)
 
     def one(y: Float[Array, " k"]) -> tuple[Array, Array, Array]:
+        # Not from the very bound, where nothing has a slope.
+        y = reach * jnp.arctanh(jnp.clip((y - middle) / reach, -0.99, 0.99))
         if solver == "lm":
             found = optx.least_squares(
-                relaxed.residuals,
+                residuals,
                 optx.LevenbergMarquardt(rtol=1e-3, atol=1e-4),
                 y,
                 args,
@@ -241,14 +275,14 @@ def minimise(
             )
         else:
             found = optx.minimise(
-                relaxed.loss,
+                loss,
                 optx.BFGS(rtol=1e-3, atol=1e-5),
                 y,
                 args,
                 max_steps=_STEPS,
                 throw=False,
             )
-        value = found.value
+        value = bounded(found.value)
         return value, relaxed.loss(value, args), found.stats["num_steps"]
 
     return jax.vmap(one)(points)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ataa_jax import files
 from ataa_jax.compare import Comparison
-from ataa_jax.report import page, plots, tables
+from ataa_jax.report import page, tables
 from ataa_jax.report.crops import choose
 from ataa_jax.report.picture import mask_overlay, why_overlay
 from ataa_jax.report.strips import hero, strip
@@ -27,7 +27,6 @@ __all__ = [
     "hero",
     "mask_overlay",
     "page",
-    "plots",
     "strip",
     "table",
     "tables",
@@ -51,6 +50,8 @@ def write(
         folder: where to; files of these names are replaced.
         progress: told what is being written.
     """
+    from ataa_jax.report import plots  # here, for matplotlib takes its time to import
+
     progress("tables")
     tables.write(comparison, folder)
     tables.write_timings(

@@ -4,7 +4,6 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-import matplotlib as mpl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -104,6 +103,8 @@ def fit(image: np.ndarray, width: int) -> Image.Image:
 @cache
 def font(size: Number, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Returns DejaVu Sans, which comes with Matplotlib: the same on every machine."""
+    import matplotlib as mpl  # here, for only writing asks for it
+
     folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(
