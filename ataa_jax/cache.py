@@ -77,7 +77,8 @@ def _array_hash(leaf: Any) -> bytes:
     if held is not None and held[0]() is leaf:
         return held[1]
     array = np.asarray(leaf)
-    digest = hashlib.blake2b(f"{array.shape} {array.dtype}".encode(), digest_size=20)
+    # SHA-256, which processors have instructions for: twice as fast as BLAKE2.
+    digest = hashlib.sha256(f"{array.shape} {array.dtype}".encode())
     digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     found = digest.digest()
     if lasting:
