@@ -9,7 +9,9 @@ what else a machine does (they are given beside). One thing varies at a time:
 - lights: the built-in scene under 0 to 16 lights, 640×360;
 - textures: the terrain cut into strips with a material and a texture of 512×512 each;
 - traced: the built-in scene with budgets of 1/16 to 8 rays a pixel, 640×360;
-- frames: the time of 30 to 300 frames of the built-in scene together, 320×180.
+- frames: the time of 30 to 300 frames of the built-in scene together, 320×180;
+- fits: ATAA 8x, 4x and 2x at the default threshold and small sizes, to tell by the
+  clock which fit into the paper's 33 ms and 16 ms here.
 
 An exponent is the slope of log time over log size by least squares; "last" is that of
 the last two points alone, where what does not grow weighs least.
@@ -42,7 +44,12 @@ PARTS: dict[str, tuple[int | float, ...]] = {
     "textures": (1, 4, 16, 64),
     "traced": (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0),  # rays a pixel
     "frames": (30, 100, 300),
+    "fits8": (36, 54, 72, 90, 108, 126, 144),  # rows
+    "fits4": (36, 54, 72, 90, 108, 126, 144),
+    "fits2": (36, 54, 72, 90, 108, 126, 144),
 }
+DRAWN = ("pixels", "triangles", "lights", "textures", "traced", "frames")
+LIMITS_MS = (33.0, 16.0)  # paper, section 1: 30 and 60 frames a second
 REPEATS = 7
 STAGES = ("raster", "taa", "segmentation", "raytrace", "resolve", "fxaa")
 COLUMNS = (
@@ -129,15 +136,19 @@ def measure(part: str, value: float) -> dict[str, float]:
     start = time.perf_counter()
     loaded = world(part, value)
     load_s = time.perf_counter() - start
-    size = (int(value), int(value) * 16 // 9) if part == "pixels" else SIZE
+    samples = int(part[4:]) if part.startswith("fits") else 8
+    by_rows = part == "pixels" or part.startswith("fits")
+    size = (int(value), int(value) * 16 // 9) if by_rows else SIZE
     size = (180, 320) if part == "frames" else size
     shot = worlds.shot(loaded, "walk", size)
     budget = value if part == "traced" else pipeline.BUDGET
     config, params = pipeline.preset(
-        "tuned", loaded.scene, size, budget=budget, selection=shot.effects
-    )
-    # A threshold of 0 makes every pixel ask for rays, so the budget is spent in full.
-    params = pipeline.with_threshold(params, 0.0)
+        "tuned", loaded.scene, size, samples=samples, budget=budget,
+        selection=shot.effects,
+    )  # fmt: skip
+    if not part.startswith("fits"):
+        # Every pixel then asks for rays, so the budget is spent in full.
+        params = pipeline.with_threshold(params, 0.0)
     offsets = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
@@ -185,13 +196,27 @@ def exponents(rows: list[dict[str, Any]], column: str) -> tuple[float, float]:
 def _grown(row: dict[str, Any]) -> float:
     """Returns what grew: pixels for rows of an image, else the size itself."""
     size = float(row["size"])
-    return size * size * 16 / 9 if row["part"] == "pixels" else size
+    by_rows = row["part"] == "pixels" or row["part"].startswith("fits")
+    return size * size * 16 / 9 if by_rows else size
+
+
+def fitting(rows: list[dict[str, Any]]) -> list[str]:
+    """Tells the largest image of each sample count that fits into each time."""
+    told = []
+    for limit in LIMITS_MS:
+        for part in (name for name in PARTS if name.startswith("fits")):
+            own = [row for row in rows if row["part"] == part]
+            fits = [int(r["size"]) for r in own if float(r["frame_ms"]) <= limit]
+            height = max(fits, default=0)
+            size = f"{height * 16 // 9}x{height}" if fits else "none of these"
+            told.append(f"{limit:g} ms, ATAA {part[4:]}x: {size}")
+    return told
 
 
 def plot(rows: list[dict[str, Any]], file: Path) -> None:
     """Draws time of all threads over size, a panel a part."""
     figure, axes = plt.subplots(2, 3, figsize=(13, 8))
-    for axis, part in zip(axes.flat, PARTS, strict=True):
+    for axis, part in zip(axes.flat, DRAWN, strict=True):
         own = [row for row in rows if row["part"] == part]
         if not own:
             continue
@@ -240,6 +265,7 @@ def main() -> None:
             for column in COLUMNS[3:]:
                 slope, last = exponents(own, column)
                 print(f"{part} {column}: exponent {slope:.2f}, last {last:.2f}")
+    print(*fitting(rows), sep="\n")
     plot(rows, RESULTS / "scaling.png")
 
 
