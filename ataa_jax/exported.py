@@ -81,7 +81,7 @@ class Exported(Generic[P, R]):
             return self.jitted(*args, **kwargs)
         choices = {k: v for k, v in kwargs.items() if k in self._static}
         shapes = tuple(map(jax.typeof, leaves))
-        key = (tree, shapes, tuple(choices.items()))
+        key = (tree, shapes, tuple(choices.items()), _settings())
         if key not in self._programs:
             self._programs[key] = self._program(leaves, tree, shapes, choices)
         run, structure = self._programs[key]

@@ -47,14 +47,14 @@ def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
     levels = [_pack(texels)]
     if max(texels.shape[:2]) == 1:
         return levels
-    alpha = _CODES[texels[..., 3:]]
     color = np.empty((*texels.shape[:2], 3), np.float32)
     _look_up(_DECODE if srgb else _CODES, texels, color)
     # Only base colours hold alpha: glTF's other textures ignore the channel.
     opaque = not srgb or bool(np.all(texels[..., 3] == 255))
-    image: np.ndarray = (
-        color if opaque else np.concatenate([color * alpha, alpha], axis=-1)
-    )
+    image: np.ndarray = color
+    if not opaque:
+        alpha = _CODES[texels[..., 3:]]
+        image = np.concatenate([color * alpha, alpha], axis=-1)
     # Where all is transparent there is no weight: keep the plain mean of the colour.
     plain = None if opaque else color
     while opaque and image.shape[0] % 2 == image.shape[1] % 2 == 0:
