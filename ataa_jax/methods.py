@@ -5,7 +5,6 @@ runners share. Times are taken around blocked stages.
 """
 
 import hashlib
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -33,6 +32,7 @@ from ataa_jax.capture.record import Capture
 from ataa_jax.errors import InputError
 from ataa_jax.raster import RasterOutput
 from ataa_jax.segmentation import Config as SegmentationConfig
+from ataa_jax.stopwatch import Lap, Stopwatch
 from ataa_jax.types import FrameInputs, Scene
 from ataa_jax.world import Sequence
 
@@ -123,7 +123,7 @@ class Drawer:
     def __init__(self, shot: Source) -> None:
         self.shot = shot
         self.frame = 0
-        self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, float]] = {}
+        self.drawn: dict[Any, tuple[RasterOutput, FrameInputs, Lap]] = {}
 
     def start(self, frame: int) -> None:
         """Forgets the last frame's buffers."""
@@ -135,8 +135,8 @@ class Drawer:
         config: raster.Config,
         params: raster.Params,
         jitter: np.ndarray | None,
-    ) -> tuple[RasterOutput, FrameInputs, float]:
-        """Returns the raster output, its inputs and its time in ms."""
+    ) -> tuple[RasterOutput, FrameInputs, Lap]:
+        """Returns the raster output, its inputs and its time."""
         if isinstance(self.shot, Capture):
             return self._captured(self.shot, centred=jitter is None)
         offset = (0.0, 0.0) if jitter is None else tuple(float(x) for x in jitter)
@@ -144,22 +144,22 @@ class Drawer:
         if key not in self.drawn:
             inputs = self.shot.inputs(self.frame, jitter)
             world = self.shot.world
-            start = time.perf_counter()
+            watch = Stopwatch()
             out = raster.raster(
                 world.scene, inputs, params, tracer=world.tracer, config=config
             )
             jax.block_until_ready(out)
-            self.drawn[key] = (out, inputs, 1e3 * (time.perf_counter() - start))
+            self.drawn[key] = (out, inputs, watch.lap())
         return self.drawn[key]
 
     def _captured(
         self, shot: Capture, *, centred: bool
-    ) -> tuple[RasterOutput, FrameInputs, float]:
+    ) -> tuple[RasterOutput, FrameInputs, Lap]:
         """Reads a frame; its own jitter and mip levels are what they are."""
         if centred not in self.drawn:
-            start = time.perf_counter()
+            watch = Stopwatch()
             out, inputs = shot.draw(self.frame, centred=centred)
-            self.drawn[centred] = (out, inputs, 1e3 * (time.perf_counter() - start))
+            self.drawn[centred] = (out, inputs, watch.lap())
         return self.drawn[centred]
 
 
@@ -171,7 +171,7 @@ class Runner(ABC):
     def __init__(self, name: str) -> None:
         self.name = name
         self.state: Any = None  # what the next frame reads, a pytree
-        self.times: dict[str, list[float]] = {}
+        self.times: dict[str, list[Lap]] = {}  # of each stage, a frame each
         self.shares: dict[str, float] = {}
         self.method: np.ndarray | None = None
         self.why: np.ndarray | None = None
@@ -192,12 +192,15 @@ class Runner(ABC):
             self.warming = None
 
     def steady(self) -> dict[str, list[float]]:
-        """Returns the times of each stage without its first, which may compile."""
-        return {stage: times[1:] or times for stage, times in self.times.items()}
+        """Returns each stage's ms without its first frame, which may compile."""
+        return {
+            stage: [lap.clock_ms for lap in laps[1:] or laps]
+            for stage, laps in self.times.items()
+        }
 
-    def record(self, stage: str, milliseconds: float) -> None:
+    def record(self, stage: str, lap: Lap) -> None:
         """Notes what one stage took."""
-        self.times.setdefault(stage, []).append(milliseconds)
+        self.times.setdefault(stage, []).append(lap)
 
 
 class _Plain(Runner):
@@ -213,15 +216,15 @@ class _Plain(Runner):
         self.filtered = filtered
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
-        out, _, ms = drawer.draw(self.config.raster, self.params.raster, None)
-        self.record("raster", ms)
+        out, _, lap = drawer.draw(self.config.raster, self.params.raster, None)
+        self.record("raster", lap)
         image = colors.display(out.color)
         if self.filtered:
-            start = time.perf_counter()
+            watch = Stopwatch()
             image = jax.block_until_ready(
                 fxaa.fxaa(image, self.params.fxaa, config=self.config.fxaa)
             )
-            self.record("fxaa", 1e3 * (time.perf_counter() - start))
+            self.record("fxaa", watch.lap())
             self.shares = {"fxaa_share": 1.0}
         return np.asarray(image)
 
@@ -279,20 +282,18 @@ class _Adaptive(Runner):
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
         self.output = None  # before the next one needs the memory
         phase = (frame - self.first) % len(self.jitter)
-        drawn, inputs, ms = drawer.draw(
+        drawn, inputs, lap = drawer.draw(
             pipeline.raster_config(self.config), self.params.raster, self.jitter[phase]
         )
-        self.record("raster", ms)
+        self.record("raster", lap)
         shot = drawer.shot
         self.ready()
-        clock = time.perf_counter()
+        watch = Stopwatch()
 
         def observe(stage: str, buffers: Any) -> Any:
-            nonlocal clock
             jax.block_until_ready(buffers)
-            now = time.perf_counter()
-            self.record(stage, 1e3 * (now - clock))
-            clock = time.perf_counter()
+            self.record(stage, watch.lap())
+            watch.start()
             return buffers
 
         if isinstance(shot, Capture):  # its own cuts reset the history
@@ -362,12 +363,12 @@ class _Supersampled(Runner):
             return np.asarray(colors.display(jnp.asarray(image)))
         inputs = shot.inputs(frame)
         self.ready()
-        start = time.perf_counter()
+        watch = Stopwatch()
         out = reference.supersample(
             shot.world, inputs, self.offsets, shot.size, average=self.average
         )
         jax.block_until_ready(out)
-        self.record("supersample", 1e3 * (time.perf_counter() - start))
+        self.record("supersample", watch.lap())
         return np.asarray(colors.display(out.color))
 
 

@@ -13,23 +13,21 @@ the scene in place and its kernel compiled.
     python experiments/accuracy_vs_time.py                    # 640×360, every scene
     python experiments/accuracy_vs_time.py --size 1280x720 sponza
     python experiments/accuracy_vs_time.py --references       # only renders those
-    python experiments/accuracy_vs_time.py --draw             # only reads the table
 
-Writes results/accuracy_vs_time.csv (rows of what was measured anew are replaced),
-accuracy_vs_time_read.csv, what it says in plain numbers, and two pictures.
+Beside the clock stands the processor time of all threads, which other work on the
+machine does not lengthen. Writes results/accuracy_vs_time.csv; rows of what was
+measured anew are replaced. `accuracy_read.py` then says and draws what it tells.
 """
 
 import argparse
 import csv
 import sys
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib as mpl
 import numpy as np
 import scenes
 
@@ -37,9 +35,7 @@ from ataa_jax import color as colors
 from ataa_jax import competitor, files, fxaa, methods, metrics, pipeline, reference
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
+from ataa_jax.stopwatch import Lap, Stopwatch
 
 RESULTS = Path(__file__).parent / "results"
 REFERENCE_SAMPLES = 256
@@ -58,15 +54,8 @@ KEY = ("scene", "motion", "light", "size")
 COLUMNS = (
     *KEY,
     *("method", "budget", "rays_per_pixel", "ssim", "psnr", "flip", "flicker"),
-    *("ms", "ms_q1", "ms_q3"),
+    *("ms", "ms_q1", "ms_q3", "processor_ms"),
     *(f"{stage}_ms" for stage in STAGES),
-)
-READ = (
-    *KEY,
-    *("ssim_ataa8", "ataa8_ms", "ssaa_samples", "ssaa_ms", "ssaa_over_ataa8"),
-    *("mitsuba_spp", "mitsuba_ms", "mitsuba_over_ataa8"),
-    *("ssim_ssaa_at_ms", "ssim_mitsuba_at_ms", "ataa8_over_mitsuba8"),
-    *("ssaa8_over_ataa8", "ssaa8_over_mitsuba8"),
 )
 
 
@@ -77,18 +66,19 @@ class Entry:
     method: str
     budget: float | None = None
     images: dict[int, np.ndarray] = field(default_factory=dict)  # a frame, as shown
-    frame_ms: list[float] = field(default_factory=list)
+    laps: list[Lap] = field(default_factory=list)  # whole frames
     stage_ms: dict[str, list[float]] = field(default_factory=dict)
     scores: list[tuple[float, float, float, float]] = field(default_factory=list)
     rays: float | None = None
 
     def row(self) -> list[str]:
         """Returns its cells of the table, behind the key."""
-        low, middle, high = np.percentile(self.frame_ms, (25, 50, 75))
+        clock, processor = np.array(self.laps).T
+        low, middle, high = np.percentile(clock, (25, 50, 75))
         means = np.array(self.scores).mean(axis=0)
         stages = (self.stage_ms.get(stage) for stage in STAGES)
         numbers = [
-            *(self.budget, self.rays, *means, middle, low, high),
+            *(self.budget, self.rays, *means, middle, low, high, np.median(processor)),
             *(float(np.median(each)) if each else None for each in stages),
         ]
         return [self.method, *("" if n is None else f"{n:.5g}" for n in numbers)]
@@ -129,10 +119,10 @@ def run(
     entry.images[frame] = runner.run(frame, drawer)
     entry.rays = runner.shares.get("rays_per_pixel")
     if frame > -LEAD_IN // 2:
-        times = {stage: ms[-1] for stage, ms in runner.times.items()}
-        entry.frame_ms.append(sum(times.values()))
-        for stage, ms in times.items():
-            entry.stage_ms.setdefault(stage, []).append(ms)
+        laps = {stage: each[-1] for stage, each in runner.times.items()}
+        entry.laps.append(Lap(*np.sum(list(laps.values()), axis=0)))
+        for stage, lap in laps.items():
+            entry.stage_ms.setdefault(stage, []).append(lap.clock_ms)
 
 
 def truth(shot: worlds.Sequence, frame: int) -> np.ndarray:
@@ -163,9 +153,9 @@ class Rival:
             entry.images[frame] = self.draw(frame, spp, frame + 2)  # compiles
         for _ in range(REPEATS):
             for entry, spp in zip(self.entries, MITSUBA, strict=True):
-                start = time.perf_counter()
+                watch = Stopwatch()
                 self.drawer.render(frame, spp, frame + 2)
-                entry.frame_ms.append(1e3 * (time.perf_counter() - start))
+                entry.laps.append(watch.lap())
 
 
 def score(
@@ -221,141 +211,6 @@ def measure(shot: worlds.Sequence, motion: str, *, rival: bool) -> list[Entry]:
     return found if competing is None else found + competing.entries
 
 
-def read(rows: list[dict[str, str]]) -> list[list[str]]:
-    """Returns what the table says: at equal quality, and at equal time."""
-    found = []
-    for key in dict.fromkeys(tuple(row[k] for k in KEY) for row in rows):
-        own = [row for row in rows if tuple(row[k] for k in KEY) == key]
-        at = {
-            (r["method"], r["budget"]): (float(r["ssim"]), float(r["ms"])) for r in own
-        }
-        ssim, ms = at["ataa8", f"{pipeline.BUDGET:.5g}"]
-        cells: list[float | None] = [ssim, ms]
-        times: list[float | None] = []
-        for kind, counts in (("ssaa", SSAA), ("mitsuba", MITSUBA)):
-            points = [
-                (n, *at[f"{kind}{n}", ""]) for n in counts if (f"{kind}{n}", "") in at
-            ]
-            there = _at_quality(points, ssim)
-            cells += [*there, there[1] / ms if there[1] else None]
-            times.append(_at_time(points, ms))
-        ssaa8, mitsuba8 = at["ssaa8", ""][1], at.get(("mitsuba8", ""), (0.0, 0.0))[1]
-        cells += [*times, ms / mitsuba8 if mitsuba8 else None, ssaa8 / ms]
-        cells.append(ssaa8 / mitsuba8 if mitsuba8 else None)
-        found.append([*key, *("" if c is None else f"{c:.5g}" for c in cells)])
-    return found
-
-
-def _at_quality(
-    points: list[tuple[int, float, float]], ssim: float
-) -> tuple[float | None, float | None]:
-    """Returns samples and ms at which a brute-force method reaches an SSIM.
-
-    Interpolated in the logarithms of samples, ms and 1 − SSIM; None outside the points.
-    """
-    if not points or not points[0][1] <= ssim <= points[-1][1]:
-        return None, None
-    samples, reached, ms = (np.array(part) for part in zip(*points, strict=True))
-    x, at = -np.log(1.0 - np.maximum.accumulate(reached)), -np.log(1.0 - ssim)
-    of_samples, of_ms = (np.interp(at, x, np.log(y)) for y in (samples, ms))
-    return float(np.exp(of_samples)), float(np.exp(of_ms))
-
-
-def _at_time(points: list[tuple[int, float, float]], ms: float) -> float | None:
-    """Returns the SSIM a brute-force method reaches in a time; None outside."""
-    if not points or not points[0][2] <= ms <= points[-1][2]:
-        return None
-    _, reached, times = (np.array(part) for part in zip(*points, strict=True))
-    left = np.interp(np.log(ms), np.log(times), np.log(1.0 - reached))
-    return float(1.0 - np.exp(left))
-
-
-FAMILIES: dict[str, tuple[str, Callable[[str], bool]]] = {
-    "SSAA 2–32x": ("#2f66cf", lambda m: m.startswith("ssaa")),
-    "Mitsuba 3, 1–32 spp": ("#8a4fbf", lambda m: m.startswith("mitsuba")),
-    "ATAA 8x, 0.12–0.48 rays": ("#2a9d4a", lambda m: m == "ataa8"),
-    "ATAA 4x": ("#7fbf5f", lambda m: m == "ataa4"),
-    "ATAA 2x": ("#b9d98f", lambda m: m == "ataa2"),
-    "TAA, tuned": ("#d23b3b", lambda m: m == "taa"),
-    "TAA, literature": ("#e58a3c", lambda m: m == "taa_ue4"),
-    "FXAA 12, 39": ("#c9a227", lambda m: m.startswith("fxaa")),
-    "no AA": ("#555555", lambda m: m == "none"),
-}
-
-
-def draw(
-    rows: list[dict[str, str]], motion: str, light: str, size: str, file: Path
-) -> None:
-    """Draws error against time, a panel a scene."""
-    own = [
-        r for r in rows if (r["motion"], r["light"], r["size"]) == (motion, light, size)
-    ]
-    names = list(dict.fromkeys(row["scene"] for row in own))
-    if not names:
-        return
-    figure, axes = plt.subplots(2, 3, figsize=(13, 7.6), squeeze=False)
-    for axis, name in zip(axes.flat, names, strict=False):
-        for label, (color, belongs) in FAMILIES.items():
-            points = [
-                (float(r["ms"]), 1.0 - float(r["ssim"]))
-                for r in own
-                if r["scene"] == name and belongs(r["method"])
-            ]
-            if points:
-                axis.loglog(
-                    *zip(*points, strict=True), "o-", ms=4, c=color, label=label
-                )
-        axis.set(title=name, xlabel="ms a frame", ylabel="1 − SSIM")
-        axis.grid(alpha=0.3, which="both")
-    axes[0, 0].legend(fontsize=7)
-    figure.suptitle(f"{motion}, {light} light, {size}, 2 CPU cores", fontsize=10)
-    figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
-
-
-def draw_stages(rows: list[dict[str, str]], size: str, file: Path) -> None:
-    """Draws where a frame's time goes, a bar a method, a panel a scene."""
-    own = [
-        r for r in rows if (r["motion"], r["light"], r["size"]) == ("walk", "own", size)
-    ]
-    names = list(dict.fromkeys(row["scene"] for row in own))
-    if not names:
-        return
-    full = f"{pipeline.BUDGET:.5g}"
-    shown = ("none", "fxaa39", "taa", "ataa2", "ataa4", "ataa8", "ssaa8")
-    figure, axes = plt.subplots(2, 3, figsize=(13, 7), squeeze=False)
-    for axis, name in zip(axes.flat, names, strict=False):
-        bars = {
-            r["method"]: r
-            for r in own
-            if r["scene"] == name and r["budget"] in ("", full)
-        }
-        left = np.zeros(len(shown))
-        for stage in STAGES:
-            wide = np.array([float(bars[m][f"{stage}_ms"] or 0.0) for m in shown])
-            axis.barh(shown, wide, left=left, label=stage)
-            left += wide
-        axis.invert_yaxis()
-        axis.set(title=name, xlabel="ms a frame")
-    axes[0, 0].legend(fontsize=7)
-    figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
-
-
-def report(file: Path) -> None:
-    """Writes and prints what the table says, and draws it."""
-    with file.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    told = read(rows)
-    files.write_csv(RESULTS / "accuracy_vs_time_read.csv", READ, told)
-    for cells in told:
-        print("; ".join(f"{k} {v}" for k, v in zip(READ, cells, strict=True) if v))
-    draw(rows, "walk", "one", "640x360", RESULTS / "accuracy_vs_time.png")
-    draw_stages(rows, "640x360", RESULTS / "accuracy_vs_time_stages.png")
-
-
 def main() -> None:
     """Measures what is asked for, and reads the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -364,11 +219,10 @@ def main() -> None:
     parser.add_argument("--motion", choices=MOTIONS, action="append")
     parser.add_argument("--light", choices=LIGHTINGS, action="append")
     parser.add_argument("--references", action="store_true")
-    parser.add_argument("--draw", action="store_true")
     given = parser.parse_args()
     width, height = (int(part) for part in given.size.split("x"))
     file = RESULTS / "accuracy_vs_time.csv"
-    for name in () if given.draw else given.names or scenes.available():
+    for name in given.names or scenes.available():
         loaded = scenes.load(name)
         for light in given.light or LIGHTINGS:
             world = competitor.one_light(loaded) if light == "one" else loaded
@@ -399,8 +253,6 @@ def main() -> None:
                 files.write_csv(file, COLUMNS, rows)
                 print(*key, "measured", flush=True)
                 jax.clear_caches()
-    if file.is_file() and not given.references:
-        report(file)
 
 
 if __name__ == "__main__":

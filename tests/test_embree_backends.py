@@ -38,6 +38,37 @@ def test_backends_agree_exactly_on_opaque_still_scenes(make):
     assert (packet.triangle == run.triangle).mean() > 0.999
 
 
+@pytest.mark.parametrize("lanes", library.NATIVE_RAYS)
+@pytest.mark.parametrize("tile", [None, (37, 101)])
+def test_hits_do_not_depend_on_the_width_of_a_packet(lanes, tile, monkeypatch):
+    scene = soup()
+    origin, direction = rays(37 * 101, seed=12)
+    run = embree.build(scene, backend="run").intersect_numpy(
+        tiny.still(), origin, direction, tile=tile
+    )
+    monkeypatch.setattr(library.Device, "lanes", lambda _: lanes)
+    # A thread limit of its own keeps the tracer from being one that was built before.
+    packets = embree.build(scene, device_config=f"threads={lanes}")
+    hits = packets.intersect_numpy(tiny.still(), origin, direction, tile=tile)
+    np.testing.assert_array_equal(hits.distance, run.distance)
+    assert (hits.triangle == run.triangle).mean() > 0.999
+    far = np.full(len(origin), 3.0, np.float32)
+    far[::7] = np.inf
+    active = np.arange(len(origin)) % 5 > 0
+    asked = (tiny.still(), origin, direction, far, active)
+    blocked = packets.occluded_numpy(*asked, tile=tile)
+    np.testing.assert_array_equal(blocked, active & (run.distance < far))
+    assert 0.1 < blocked.mean() < 0.9
+
+
+def test_a_packet_is_as_wide_as_the_processors_vectors():
+    clib = library.load()
+    assert clib is not None
+    narrow, own = library.Device(clib, "isa=sse4.2"), library.Device(clib, "")
+    assert narrow.lanes() == 4
+    assert own.lanes() >= narrow.lanes()
+
+
 @hypothesis.given(st.integers(0, 2**32 - 1))
 @hypothesis.settings(max_examples=40)
 def test_backends_agree_where_everything_is_degenerate(seed):

@@ -10,9 +10,9 @@ material is hit where its mask is solid (`masks` states the rule). Surfaces that
 something shows through are not hit: `Tracer.clear` holds them. A ray that is not
 finite, or has no direction, misses.
 
-Two ways lead to Embree, with the same hits: 16 rays at a time through its C interface
-(`packets`), and one at a time through embreex's classes (`fallback`), about four
-times slower, where that interface cannot be reached.
+Two ways lead to Embree, with the same hits: packets of 16 or 8 rays through its C
+interface (`packets`), and one at a time through embreex's classes (`fallback`), about
+four times slower, where that interface cannot be reached.
 
 Cracks. Embree runs in robust mode: no ray slips through an edge that two triangles
 share. Through a vertex it can (Embree's issue 181): of rays aimed at the vertices of
@@ -191,8 +191,8 @@ def build(
 
     Args:
         scene: The scene; its arrays are copied.
-        backend: ``packet`` (16 rays at a time), ``run`` (one at a time), or ``auto``:
-            packets where Embree's C interface can be reached.
+        backend: ``packet`` (16 or 8 rays at a time), ``run`` (one at a time), or
+            ``auto``: packets where Embree's C interface can be reached.
         device_config: Handed to Embree's ``rtcNewDevice``, for example
             ``"isa=avx2"`` or ``"threads=1"``; only packets have it.
 

@@ -16,7 +16,7 @@ from ataa_jax import types
 from ataa_jax.embree import kernels, masks, workers
 from ataa_jax.embree.packets import invertible
 
-_CHUNK = kernels.CHUNK * kernels.LANES
+_CHUNK = kernels.CHUNK
 _LAYERS = 512  # our choice: holes one ray may pass before it counts as a miss
 # A restarted ray begins this many ulps of its largest coordinate behind the hole.
 _STEP = np.float32(8 * np.finfo(np.float32).eps)

@@ -1,13 +1,14 @@
-"""numba loops that carry rays into Embree 16 at a time, and hits back out.
+"""numba loops that carry rays into Embree in packets, and hits back out.
 
-A packet is a block of rows of 16 lanes, laid out as ``RTCRayHit16``: rows 0–2 origin,
-3 tnear, 4–6 direction, 7 time, 8 tfar, 9 mask, 10 id, 11 flags; then the hit: 12–14
-normal, 15 u, 16 v, 17 primitive, 18 geometry, 19 instance (20, instance primitive,
-exists where Embree is built with instance arrays; the buffer has room for it).
+A packet is a block of rows of 16, 8 or 4 lanes, laid out as ``RTCRayHit16``,
+``RTCRayHit8`` or ``RTCRayHit4``: rows 0–2 origin, 3 tnear, 4–6 direction, 7 time,
+8 tfar, 9 mask, 10 id, 11 flags; then the hit: 12–14 normal, 15 u, 16 v, 17 primitive,
+18 geometry, 19 instance (20, instance primitive, exists where Embree is built with
+instance arrays; the buffer has room for it).
 
-Rays are walked in packets of 16 neighbours: along the batch, or in 4×4 tiles of an
-image. Rays that are not to be traced (inactive, not finite, no direction) leave their
-lane to the next ray, so they cost no traversal.
+Rays are walked in packets of neighbours: along the batch, or in tiles of an image, of
+4×4 pixels, two rows of 4, or 2×2. Rays that are not to be traced (inactive, not finite,
+no direction) leave their lane to the next ray, so they cost no traversal.
 
 The functions take Embree's entry points as plain addresses: a function that closed
 over them could not be kept in numba's on-disk cache.
@@ -23,11 +24,10 @@ from numba import types as nb
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-LANES = 16
-CHUNK = 256  # packets a call; fixed, so that no result depends on the thread count
+CHUNK = 4096  # rays a call; fixed, so that no result depends on the thread count
 
 _ROWS = 22
-_BYTES = 64  # alignment of a 16-lane packet
+_BYTES = 64  # alignment of a 16-lane packet; smaller ones need less
 # Hits lie strictly beyond the origin: the smallest normal float, since Embree's
 # processor mode reads smaller ones as 0.
 _NEAR = np.float32(np.finfo(np.float32).tiny)
@@ -58,26 +58,35 @@ def _call(typing_context, function, valid, scene, packet, arguments):
 
 @_compiled
 @no_type_check
-def _aligned_rows():
-    """Returns a zeroed float32 (_ROWS + 1, 16) block that starts on 64 bytes."""
-    block = np.zeros((_ROWS + 1) * LANES + LANES, np.float32)
+def _aligned_rows(lanes):
+    """Returns a zeroed float32 (_ROWS + 1, lanes) block that starts on 64 bytes."""
+    block = np.zeros((_ROWS + 1) * lanes + _BYTES // 4, np.float32)
     skip = (-block.ctypes.data % _BYTES) // 4
-    return block[skip : skip + (_ROWS + 1) * LANES].reshape((_ROWS + 1, LANES))
+    return block[skip : skip + (_ROWS + 1) * lanes].reshape((_ROWS + 1, lanes))
 
 
 @_compiled
 @no_type_check
-def _ray_at(packet, lane, height, width):
+def tile_of(lanes):
+    """Returns rows and columns of the tile of an image that makes a packet."""
+    columns = 4 if lanes > 4 else 2
+    return lanes // columns, columns
+
+
+@_compiled
+@no_type_check
+def _ray_at(packet, lane, lanes, height, width):
     """Returns which ray lane `lane` of packet `packet` is of; −1: none.
 
     A batch that is no image has height 0 and width n.
     """
     if height == 0:
-        ray = packet * LANES + lane
+        ray = packet * lanes + lane
         return ray if ray < width else -1
-    tiles = (width + 3) // 4
-    row = packet // tiles * 4 + lane // 4
-    column = packet % tiles * 4 + lane % 4
+    rows, columns = tile_of(lanes)
+    tiles = (width + columns - 1) // columns
+    row = packet // tiles * rows + lane // columns
+    column = packet % tiles * columns + lane % columns
     return row * width + column if row < height and column < width else -1
 
 
@@ -103,7 +112,7 @@ def _fill(rows, bits, lane, ray, origin, direction, far):
 @no_type_check
 def _nudge(rows):
     """Turns the directions of all lanes by a few ulps."""
-    for lane in range(LANES):
+    for lane in range(rows.shape[1]):
         largest = max(abs(rows[4, lane]), abs(rows[5, lane]), abs(rows[6, lane]))
         for axis in range(3):
             rows[4 + axis, lane] += largest * NUDGE[axis]
@@ -112,7 +121,8 @@ def _nudge(rows):
 @_compiled
 @no_type_check
 def intersect(
-    function,  # address of rtcIntersect16
+    function,  # address of rtcIntersect16, 8 or 4
+    lanes,  # 16, 8 or 4
     scene,  # address of the scene
     arguments,  # address of an RTCIntersectArguments
     first,  # first packet
@@ -128,14 +138,14 @@ def intersect(
     barycentric,  # out: float32 (n, 2)
 ):
     """Traces some packets of a batch for their nearest hits."""
-    rows = _aligned_rows()
+    rows = _aligned_rows(lanes)
     bits = rows.view(np.int32)
     valid = bits[_ROWS]
-    ray_of = np.empty(LANES, np.int64)
+    ray_of = np.empty(lanes, np.int64)
     filled = 0
     for packet in range(first, last):
-        for place in range(LANES):
-            ray = _ray_at(packet, place, height, width)
+        for place in range(lanes):
+            ray = _ray_at(packet, place, lanes, height, width)
             if ray >= 0:
                 distance[ray] = _INF
                 triangle[ray] = -1
@@ -145,13 +155,13 @@ def intersect(
                     bits[18, filled] = -1
                     bits[19, filled] = -1
                     filled += 1
-            at_end = packet == last - 1 and place == LANES - 1
-            if filled == LANES or (at_end and filled > 0):
-                for lane in range(LANES):
+            at_end = packet == last - 1 and place == lanes - 1
+            if filled == lanes or (at_end and filled > 0):
+                for lane in range(lanes):
                     valid[lane] = -1 if lane < filled else 0
                 _call(function, valid.ctypes.data, scene, rows.ctypes.data, arguments)
                 missed = 0
-                for lane in range(LANES):
+                for lane in range(lanes):
                     valid[lane] = -1 if lane < filled and bits[18, lane] < 0 else 0
                     missed -= valid[lane]
                 if missed > 0:
@@ -174,7 +184,8 @@ def intersect(
 @_compiled
 @no_type_check
 def occluded(
-    function,  # address of rtcOccluded16
+    function,  # address of rtcOccluded16, 8 or 4
+    lanes,
     scene,
     arguments,
     first,
@@ -188,14 +199,14 @@ def occluded(
     answer,  # out: bool (n,)
 ):
     """Traces some packets of a batch for any hit closer than `length`."""
-    rows = _aligned_rows()
+    rows = _aligned_rows(lanes)
     bits = rows.view(np.int32)
     valid = bits[_ROWS]
-    ray_of = np.empty(LANES, np.int64)
+    ray_of = np.empty(lanes, np.int64)
     filled = 0
     for packet in range(first, last):
-        for place in range(LANES):
-            ray = _ray_at(packet, place, height, width)
+        for place in range(lanes):
+            ray = _ray_at(packet, place, lanes, height, width)
             if ray >= 0:
                 answer[ray] = False
                 far = length[ray]
@@ -208,9 +219,9 @@ def occluded(
                     bits[8, filled] -= 1
                     ray_of[filled] = ray
                     filled += 1
-            at_end = packet == last - 1 and place == LANES - 1
-            if filled == LANES or (at_end and filled > 0):
-                for lane in range(LANES):
+            at_end = packet == last - 1 and place == lanes - 1
+            if filled == lanes or (at_end and filled > 0):
+                for lane in range(lanes):
                     valid[lane] = -1 if lane < filled else 0
                 _call(function, valid.ctypes.data, scene, rows.ctypes.data, arguments)
                 for lane in range(filled):

@@ -1,11 +1,11 @@
 """The Embree 4 C interface inside the embreex wheel, reached through `ctypes`.
 
 embreex's own classes trace one ray at a time. The library it ships also has the
-16-ray entry points, and the extension module depends on it: opening the extension
-with `ctypes.CDLL` therefore resolves every exported ``rtc*`` symbol, and no file
-name is guessed. Constants and layouts are those of Embree 4's public headers
-(``rtcore_common.h``, ``rtcore_ray.h``, ``rtcore_scene.h``); tests hold every one of
-them against hits that were computed without Embree.
+entry points for packets of rays, and the extension module depends on it: opening the
+extension with `ctypes.CDLL` therefore resolves every exported ``rtc*`` symbol, and no
+file name is guessed. Constants and layouts are those of Embree 4's public headers
+(``rtcore_common.h``, ``rtcore_device.h``, ``rtcore_ray.h``, ``rtcore_scene.h``); tests
+hold every one of them against hits that were computed without Embree.
 """
 
 import ctypes
@@ -23,6 +23,8 @@ FORMAT_FLOAT3 = 0x9003
 FORMAT_3X4_ROW_MAJOR = 0x9134
 SCENE_ROBUST = 1 << 2  # edges shared by two triangles are hit without cracks
 QUERY_COHERENT = 1 << 16
+# RTC_DEVICE_PROPERTY_NATIVE_RAY*_SUPPORTED: the processor has vectors of so many rays.
+NATIVE_RAYS = {16: 34, 8: 33, 4: 32}
 FEATURES_ALL = 0xFFFFFFFF
 
 _POINTER = ctypes.c_void_p
@@ -31,6 +33,7 @@ _SIGNATURES = {  # name: (result, arguments)
     "rtcNewDevice": (_POINTER, [ctypes.c_char_p]),
     "rtcReleaseDevice": (None, [_POINTER]),
     "rtcGetDeviceError": (ctypes.c_int, [_POINTER]),
+    "rtcGetDeviceProperty": (ctypes.c_ssize_t, [_POINTER, ctypes.c_int]),
     "rtcNewScene": (_POINTER, [_POINTER]),
     "rtcRetainScene": (None, [_POINTER]),
     "rtcReleaseScene": (None, [_POINTER]),
@@ -53,8 +56,11 @@ _SIGNATURES = {  # name: (result, arguments)
         None,
         [_POINTER, _UINT, ctypes.c_int, _POINTER],
     ),
-    "rtcIntersect16": (None, [_POINTER] * 4),
-    "rtcOccluded16": (None, [_POINTER] * 4),
+    **{
+        f"rtc{query}{lanes}": (None, [_POINTER] * 4)
+        for query in ("Intersect", "Occluded")
+        for lanes in NATIVE_RAYS
+    },
 }
 _ERRORS = {
     1: "unknown error",
@@ -110,6 +116,16 @@ class Device:
         if code:
             reason = _ERRORS.get(code, f"error {code}")
             raise RuntimeError(f"Embree could not make {what}: {reason}")
+
+    def lanes(self) -> int:
+        """Returns how many rays the processor's vectors hold: 16, 8 or 4.
+
+        Embree takes wider packets too, but traces their rays one at a time then.
+        """
+        for lanes, number in NATIVE_RAYS.items():
+            if self.library.rtcGetDeviceProperty(self.handle, number):
+                return lanes
+        return min(NATIVE_RAYS)
 
     def new_scene(self) -> "EmbreeHandle":
         """Makes an empty scene in robust mode."""

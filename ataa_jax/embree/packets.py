@@ -1,4 +1,6 @@
-"""Tracing in packets of 16 through the Embree 4 C interface.
+"""Tracing in packets through the Embree 4 C interface.
+
+A packet has as many rays as the processor's vectors hold: 16 with AVX-512, 8 with AVX.
 
 One Embree scene is built for each rigid group, once. If there are several, a small
 scene of instances is put on top for each set of transforms that is asked for, and
@@ -25,8 +27,11 @@ class PacketBackend:
         self, clib: ctypes.CDLL, scene: types.Scene, split: masks.Split, config: str
     ) -> None:
         self._device = library.Device(clib, config)
-        self._intersect16 = library.address_of(clib.rtcIntersect16)
-        self._occluded16 = library.address_of(clib.rtcOccluded16)
+        self.lanes = self._device.lanes()
+        self._intersect, self._occluded = (
+            library.address_of(getattr(clib, f"rtc{query}{self.lanes}"))
+            for query in ("Intersect", "Occluded")
+        )
         self._arguments = {flag: _query_arguments(flag) for flag in (False, True)}
 
         geometries = [
@@ -75,11 +80,12 @@ class PacketBackend:
         barycentric = np.empty((count, 2), np.float32)
         placed = self._place(world_from_group)
         arguments = self._arguments[coherent].ctypes.data
-        height, width, packets = _walk(tile, count)
+        height, width, packets = _walk(tile, count, self.lanes)
 
         def work(first: int, last: int) -> None:
             kernels.intersect(
-                self._intersect16,
+                self._intersect,
+                self.lanes,
                 placed.handle,
                 arguments,
                 first,
@@ -95,7 +101,7 @@ class PacketBackend:
                 barycentric,
             )
 
-        workers.for_chunks(packets, kernels.CHUNK, work)
+        workers.for_chunks(packets, kernels.CHUNK // self.lanes, work)
         return distance, triangle, barycentric
 
     def occluded(
@@ -113,11 +119,12 @@ class PacketBackend:
         answer = np.empty(count, np.bool_)
         placed = self._place(world_from_group)
         arguments = self._arguments[coherent].ctypes.data
-        height, width, packets = _walk(tile, count)
+        height, width, packets = _walk(tile, count, self.lanes)
 
         def work(first: int, last: int) -> None:
             kernels.occluded(
-                self._occluded16,
+                self._occluded,
+                self.lanes,
                 placed.handle,
                 arguments,
                 first,
@@ -131,7 +138,7 @@ class PacketBackend:
                 answer,
             )
 
-        workers.for_chunks(packets, kernels.CHUNK, work)
+        workers.for_chunks(packets, kernels.CHUNK // self.lanes, work)
         return answer
 
     def _place(self, world_from_group: np.ndarray) -> library.EmbreeHandle:
@@ -177,11 +184,12 @@ def invertible(matrix: np.ndarray) -> bool:
     return flatness > 1e-6
 
 
-def _walk(tile: tuple[int, int] | None, count: int) -> tuple[int, int, int]:
+def _walk(tile: tuple[int, int] | None, count: int, lanes: int) -> tuple[int, int, int]:
     """Returns height (0: no image), width, and the number of packets."""
     if tile is None:
-        return 0, count, -(-count // kernels.LANES)
-    return *tile, -(-tile[0] // 4) * -(-tile[1] // 4)
+        return 0, count, -(-count // lanes)
+    rows, columns = kernels.tile_of(lanes)
+    return *tile, -(-tile[0] // rows) * -(-tile[1] // columns)
 
 
 def _query_arguments(coherent: bool) -> np.ndarray:
