@@ -117,7 +117,8 @@ def _in_turns(runs: dict[str, Callable[[], Any]]) -> dict[str, np.ndarray]:
 def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> Row:
     """Runs two frames in a process of their own and returns the peak it came to.
 
-    A process's peak only grows, so the one that measures the rest cannot tell.
+    As `ataa run` does: loading and compiling are part of it. A process's peak only
+    grows, so the one that measures the rest cannot tell.
 
     Args:
         scene: as `world.load` takes it.
@@ -140,11 +141,15 @@ def generation() -> Row:
 
 
 def _peak_of_frames(scene: str, size: tuple[int, int]) -> int:
-    shot = worlds.shot(worlds.load(scene), "walk", size)
-    config, params = pipeline.preset(
-        "tuned", shot.world.scene, size, selection=shot.effects
-    )
-    for output, _ in pipeline.sequence(shot, params, config=config, frames=2):
+    world = worlds.load(scene, size=size)
+    shot = worlds.shot(world, "walk", size)
+    config, params = pipeline.preset("tuned", world.scene, size, selection=shot.effects)
+    state = pipeline.init(size, config.resolve.history)
+    for frame in range(2):
+        output, state = pipeline.stages(
+            state, shot.inputs(frame), params,
+            scene=world.scene, tracer=world.tracer, config=config,
+        )  # fmt: skip
         jax.block_until_ready(output)
         del output
     return memory.peak()

@@ -7,6 +7,7 @@ leave hundreds of megabytes of them, beside which a frame then needs its own: at
 
 import ctypes
 import functools
+import gc
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -39,7 +40,11 @@ def peak() -> int:
 
 
 def release() -> None:
-    """Gives freed memory back to the system; does nothing where libc cannot."""
+    """Frees what nobody holds, and gives it back to the system where libc can.
+
+    JAX lets go of the NumPy arrays that it copied from only when Python collects.
+    """
+    gc.collect()
     _trim()(0)
 
 
