@@ -155,33 +155,37 @@ def _peak_of_frames(scene: str, size: tuple[int, int]) -> int:
     return memory.peak()
 
 
-def _median_s(run: Callable[[], Any]) -> float:
-    jax.block_until_ready(run())
-    times = []
-    for _ in range(_REPEATS):
-        watch = Stopwatch()
-        jax.block_until_ready(run())
-        times.append(watch.lap().clock_ms)
-    return float(np.median(times)) / 1e3
-
-
 def _trace_rate(shot: worlds.Sequence) -> list[Row]:
-    """Rays a second of the stage's batches, by packets and by `EmbreeScene.run`."""
+    """Rays a second of the stage's batches, by packets and by `EmbreeScene.run`.
+
+    All take turns. The packet loop alone is the one that the stage calls, on NumPy
+    arrays that are there already; the stage's has the way through XLA as well.
+    """
     world, inputs = shot.world, shot.inputs(0)
     origin, direction = _stage_rays(inputs, shot.size)
-    count = len(origin)
+    matrices = np.asarray(inputs.world_from_group)
     jitted = jax.jit(
         lambda o, d: embree.intersect(world.tracer, inputs.world_from_group, o, d)
     )
     on_device = jax.device_put((origin, direction))
-    packet = _median_s(lambda: jitted(*on_device))
     bare = embree.bare_run(world.scene)
-    run = _median_s(lambda: bare(origin, direction))
-    return [
-        (f"primary rays, {world.tracer.backend} in jit", count / packet / 1e6, "M/s"),
-        ("primary rays, EmbreeScene.run", count / run / 1e6, "M/s"),
-        ("ratio", run / packet, "x"),
+    backend = world.tracer.backend
+    stage, loop, run = f"{backend} in jit", f"{backend} loop alone", "EmbreeScene.run"
+    times = _in_turns(
+        {
+            stage: lambda: jitted(*on_device),
+            loop: lambda: world.tracer.intersect_numpy(matrices, origin, direction),
+            run: lambda: bare(origin, direction),
+        }
+    )
+    rows: list[Row] = [
+        (f"primary rays, {name}", len(origin) / 1e3 / float(np.median(ms)), "M/s")
+        for name, ms in times.items()
     ]
+    for other in (loop, run):
+        ratio = float(np.median(times[other] / times[stage]))
+        rows.append((f"primary rays, {stage} over {other}", ratio, "x"))
+    return rows
 
 
 def _stage_rays(

@@ -32,7 +32,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ataa_jax import files
 from ataa_jax.camera import look_at
@@ -143,7 +142,8 @@ def pose(
 
 
 def _yaw(angle: float) -> np.ndarray:
-    return Rotation.from_euler("y", -angle).as_matrix()
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
 
 def _keyframed(path: CameraPath, camera: CameraSource, frame: int, time: float) -> Pose:

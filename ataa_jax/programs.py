@@ -72,7 +72,7 @@ def keep() -> None:
     for name, value in (
         ("jax_compilation_cache_dir", str(place)),
         # our choice: what compiles faster is not worth a file.
-        ("jax_persistent_cache_min_compile_time_secs", 0.3),
+        ("jax_persistent_cache_min_compile_time_secs", 0.0),
     ):
         if name.upper() not in os.environ:
             os.environ[name.upper()] = str(value)

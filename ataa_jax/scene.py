@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ataa_jax import mipmap, types
@@ -146,13 +146,13 @@ def pack(source: SceneSource) -> tuple[types.Scene, list[str]]:
     if dropped:
         notes.append(f"{dropped} triangles without area or not finite were left out")
 
-    def repeated(values: list[int]) -> jnp.ndarray:
-        return jnp.asarray(np.repeat(values, counts), jnp.int32)
+    def repeated(values: list[int]) -> jax.Array:
+        return _put(np.repeat(values, counts), np.int32)
 
     geometry = types.Geometry(
-        position=jnp.asarray(np.concatenate([part[0] for part in parts])),
-        normal=jnp.asarray(np.concatenate([part[1] for part in parts])),
-        uv=jnp.asarray(np.concatenate([part[2] for part in parts])),
+        position=_put(np.concatenate([part[0] for part in parts]), np.float32),
+        normal=_put(np.concatenate([part[1] for part in parts]), np.float32),
+        uv=_put(np.concatenate([part[2] for part in parts]), np.float32),
         material=repeated([mesh.material for mesh in source.meshes]),
         object=repeated(list(range(len(source.meshes)))),
         group=repeated([mesh.group for mesh in source.meshes]),
@@ -229,35 +229,40 @@ def _check_ids(source: SceneSource) -> None:
                 check(texture, texture, len(source.textures), what)
 
 
+def _put(values: Any, dtype: type[np.generic]) -> jax.Array:
+    """Returns values as JAX has them; `jnp.asarray` compiles a program a shape."""
+    return jax.device_put(np.asarray(values, dtype))
+
+
 def pack_lights(lights: list[LightSource]) -> types.Lights:
     """Packs lights; directions are normalized."""
 
-    def floats(values: list[Any], *shape: int) -> jnp.ndarray:
+    def floats(values: list[Any], *shape: int) -> jax.Array:
         array = np.array(values, np.float64).reshape(len(lights), *shape)
-        return jnp.asarray(array, jnp.float32)
+        return _put(array, np.float32)
 
     direction = np.array([x.direction for x in lights], np.float64).reshape(-1, 3)
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     return types.Lights(
-        kind=jnp.asarray(np.array([x.kind for x in lights], np.int32)),
+        kind=_put([x.kind for x in lights], np.int32),
         position=floats([x.position for x in lights], 3),
-        direction=jnp.asarray(direction / np.maximum(length, 1e-30), jnp.float32),
+        direction=_put(direction / np.maximum(length, 1e-30), np.float32),
         intensity=floats([x.intensity for x in lights], 3),
         range=floats([x.range for x in lights]),
         cos_inner=floats([np.cos(x.inner_cone_angle) for x in lights]),
         cos_outer=floats([np.cos(x.outer_cone_angle) for x in lights]),
-        casts=jnp.ones((len(lights),), jnp.bool_),
+        casts=_put(np.ones(len(lights)), np.bool_),
     )
 
 
 def pack_sky(sky: SkySource, visibility: float) -> types.Sky:
     """Packs a sky and the share of it that surfaces see."""
     return types.Sky(
-        zenith=jnp.asarray(sky.zenith, jnp.float32),
-        horizon=jnp.asarray(sky.horizon, jnp.float32),
-        ground=jnp.asarray(sky.ground, jnp.float32),
-        visibility=jnp.asarray(visibility, jnp.float32),
-        bounce=jnp.zeros(3, jnp.float32),
+        zenith=_put(sky.zenith, np.float32),
+        horizon=_put(sky.horizon, np.float32),
+        ground=_put(sky.ground, np.float32),
+        visibility=_put(visibility, np.float32),
+        bounce=_put(np.zeros(3), np.float32),
     )
 
 
@@ -330,14 +335,14 @@ def _mirrors(material: MaterialSource, textures: list[TextureSource]) -> bool:
 def _pack_materials(
     materials: list[MaterialSource], textures: list[TextureSource]
 ) -> types.Materials:
-    def floats(values: list[Any]) -> jnp.ndarray:
-        return jnp.asarray(np.array(values, np.float32))
+    def floats(values: list[Any]) -> jax.Array:
+        return _put(values, np.float32)
 
-    def ids(values: list[int]) -> jnp.ndarray:
-        return jnp.asarray(np.array(values, np.int32))
+    def ids(values: list[int]) -> jax.Array:
+        return _put(values, np.int32)
 
-    def flags(values: list[bool]) -> jnp.ndarray:
-        return jnp.asarray(np.array(values, bool))
+    def flags(values: list[bool]) -> jax.Array:
+        return _put(values, np.bool_)
 
     return types.Materials(
         base_color=floats([m.base_color for m in materials]),
@@ -386,12 +391,12 @@ def _pack_textures(sources: list[TextureSource]) -> types.Textures:
     with ThreadPoolExecutor() as pool:
         list(pool.map(fill, range(len(sources))))
     return types.Textures(
-        texels=jnp.asarray(flat),
-        level_offset=jnp.asarray(offset),
-        level_height=jnp.asarray(height),
-        level_width=jnp.asarray(width),
-        level_count=jnp.asarray(counts),
-        wrap_u=jnp.asarray(np.array([s.wrap_u for s in sources], np.int32)),
-        wrap_v=jnp.asarray(np.array([s.wrap_v for s in sources], np.int32)),
-        srgb=jnp.asarray(np.array([s.srgb for s in sources], bool)),
+        texels=_put(flat, np.uint32),
+        level_offset=_put(offset, np.int32),
+        level_height=_put(height, np.int32),
+        level_width=_put(width, np.int32),
+        level_count=_put(counts, np.int32),
+        wrap_u=_put([s.wrap_u for s in sources], np.int32),
+        wrap_v=_put([s.wrap_v for s in sources], np.int32),
+        srgb=_put([s.srgb for s in sources], np.bool_),
     )

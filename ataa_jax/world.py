@@ -5,6 +5,7 @@ from functools import cached_property
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -260,9 +261,10 @@ def prepare(
         object_motion=source.duration > 0.0,
     )
     packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(brightness.bounce))
+    source = replace(source, textures=[])  # in the packed scene they are, and smaller
     world = replace(
         world,
-        source=replace(source, textures=[]),
+        source=source,
         scene=_exposed(packed, float(brightness.exposure)),
         lights=lights,
         exposure=float(brightness.exposure),
@@ -324,4 +326,5 @@ def _exposed(packed: types.Scene, exposure: float) -> types.Scene:
             s.materials.emissive,
         )
 
-    return eqx.tree_at(parts, packed, tuple(part * exposure for part in parts(packed)))
+    exposed = [np.asarray(part) * np.float32(exposure) for part in parts(packed)]
+    return eqx.tree_at(parts, packed, tuple(jax.device_put(part) for part in exposed))

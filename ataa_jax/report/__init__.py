@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ataa_jax import files
 from ataa_jax.compare import Comparison
-from ataa_jax.report import page, tables
+from ataa_jax.report import tables
 from ataa_jax.report.crops import choose
 from ataa_jax.report.picture import mask_overlay, why_overlay
 from ataa_jax.report.strips import hero, strip
@@ -26,7 +26,6 @@ __all__ = [
     "choose",
     "hero",
     "mask_overlay",
-    "page",
     "strip",
     "table",
     "tables",
@@ -50,7 +49,8 @@ def write(
         folder: where to; files of these names are replaced.
         progress: told what is being written.
     """
-    from ataa_jax.report import plots  # here, for matplotlib takes its time to import
+    # Here, for matplotlib and jinja2 take their time to import.
+    from ataa_jax.report import page, plots
 
     progress("tables")
     tables.write(comparison, folder)
