@@ -171,6 +171,49 @@ def fit() -> str:
     return markdown([*head, "closed", "carried over"], rows)
 
 
+def cost() -> str:
+    """What an SSIM costs by each way, in motion, under one directional light."""
+    rows = []
+    table = read("accuracy_vs_time_read.csv")
+    told = [
+        row
+        for row in table
+        if (row["motion"], row["light"], row["size"]) == ("walk", "one", "640x360")
+    ]
+    for name in NAMES:
+        own = {row["time"]: row for row in told if row["scene"] == name}
+        if not own:
+            continue
+        clock, processor = own["clock"], own["processor"]
+        rows.append(
+            [
+                NAMES[name],
+                f"{float(clock['ssim_ataa8']):.4f}",
+                f"{float(clock['ataa8_ms']):.0f} ms",
+                *(
+                    _both(clock, processor, way, count)
+                    for way, count in (("ssaa", "samples"), ("mitsuba", "spp"))
+                ),
+                f"{ratio(clock['ataa8_over_mitsuba8'])}",
+                f"{ratio(clock['ssaa8_over_mitsuba8'])}",
+            ]
+        )
+    head = ["one light, moving", "SSIM of ATAA 8x", "its time", "SSAA needs"]
+    head += ["Mitsuba 3 needs", "ATAA 8x over Mitsuba 8 spp", "SSAA 8x over it"]
+    return markdown(head, rows)
+
+
+def _both(
+    clock: dict[str, str], processor: dict[str, str], way: str, count: str
+) -> str:
+    """Returns samples, ms and the ratio to ATAA 8x, by the clock (by the processor)."""
+    if not clock[f"{way}_{count}"]:
+        return "–"
+    samples, ms = float(clock[f"{way}_{count}"]), float(clock[f"{way}_ms"])
+    ratios = [ratio(row[f"{way}_over_ataa8"]) for row in (clock, processor)]
+    return f"{samples:.1f}, {ms:.0f} ms: {ratios[0]}× ({ratios[1]}×)"
+
+
 def main() -> None:
     """Replaces what stands between the markers."""
     text = README.read_text("utf-8")
@@ -181,6 +224,7 @@ def main() -> None:
         ("failures", failures()),
         ("fit", fit()),
         ("hard", hard()),
+        ("cost", cost()),
     ):
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.escape(begin) + ".*?" + re.escape(end)
