@@ -21,7 +21,6 @@ of the raster stage's colour or the final image: the column says whether any did
 """
 
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ import scenes
 
 from ataa_jax import effects, files, pipeline, types
 from ataa_jax import world as worlds
+from ataa_jax.stopwatch import Lap, Stopwatch
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -66,19 +66,19 @@ class Frame:
         self.config, self.params = pipeline.preset(
             "tuned", world.scene, self.shot.size, selection=self.shot.effects
         )
-        self.raster_s = (0.0, 0.0)
+        self.raster = Lap(0.0, 0.0)
         self.state = pipeline.init(self.shot.size)
         _, self.state = self.draw(0)
         self.output, _ = self.draw(1)
 
     def draw(self, index: int) -> tuple[pipeline.FrameOutput, types.State]:
         """Draws a frame on the stored history, and waits for it."""
-        start = clocks()
+        watch = Stopwatch()
 
         def observe(stage: str, buffer: Any) -> Any:
             if stage == "raster":
                 jax.block_until_ready(buffer)
-                self.raster_s = since(start)
+                self.raster = watch.lap()
             return buffer
 
         return jax.block_until_ready(
@@ -105,17 +105,6 @@ class Frame:
         return [np.asarray(self.output.raw), np.asarray(self.output.image)]
 
 
-def clocks() -> tuple[float, float]:
-    """Returns the time, and the processor time of all threads, in seconds."""
-    return time.perf_counter(), time.process_time()
-
-
-def since(start: tuple[float, float]) -> tuple[float, float]:
-    """Returns what passed on both clocks."""
-    now = clocks()
-    return now[0] - start[0], now[1] - start[1]
-
-
 def measure(name: str) -> list[tuple[str, ...]]:
     """Returns the rows of one scene."""
     frames = {key: Frame(world) for key, world in variants(scenes.load(name)).items()}
@@ -123,10 +112,10 @@ def measure(name: str) -> list[tuple[str, ...]]:
     times: dict[str, list[tuple[float, ...]]] = {key: [] for key in frames}
     for _ in range(REPEATS):
         for key, frame in frames.items():
-            start = clocks()
+            watch = Stopwatch()
             frame.draw(1)
-            times[key].append((*since(start), *frame.raster_s))
-    medians = {key: 1e3 * np.median(runs, axis=0) for key, runs in times.items()}
+            times[key].append((*watch.lap(), *frame.raster))
+    medians = {key: np.median(runs, axis=0) for key, runs in times.items()}
     base, expected = medians["called for"], frames["called for"].images()
     rows = []
     for key, frame in frames.items():

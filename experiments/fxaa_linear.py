@@ -20,7 +20,6 @@ at 1280×720. A first chunk of 8,192 pixels costs the same however few it holds.
 """
 
 import argparse
-import time
 from dataclasses import dataclass, field
 
 import jax
@@ -33,6 +32,7 @@ import scenes
 from ataa_jax import color as colors
 from ataa_jax import fxaa, pipeline
 from ataa_jax import world as worlds
+from ataa_jax.stopwatch import Lap, Stopwatch
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -55,19 +55,21 @@ class Case:
     image: jax.Array
     needed: jax.Array
     edges: int  # pixels asked for that show an edge
-    times_ms: list[float] = field(default_factory=list)
-    cpu_ms: list[float] = field(default_factory=list)
+    laps: list[Lap] = field(default_factory=list)
 
     def run(self) -> None:
         """Filters once; the time is until the result is ready."""
-        start, start_cpu = time.perf_counter(), time.process_time()
+        watch = Stopwatch()
         jax.block_until_ready(
             fxaa.fxaa_sparse(
                 self.image, self.needed, fxaa.default_params(), config=fxaa.Config()
             )
         )
-        self.times_ms.append(1e3 * (time.perf_counter() - start))
-        self.cpu_ms.append(1e3 * (time.process_time() - start_cpu))
+        self.laps.append(watch.lap())
+
+    def median(self) -> Lap:
+        """Returns the median by each clock."""
+        return Lap(*np.median(self.laps, axis=0))
 
 
 def mask(kind: str, share: float, size: tuple[int, int]) -> np.ndarray:
@@ -143,8 +145,7 @@ def main() -> None:
     every = cases()
     for case in every:  # compiles
         case.run()
-        case.times_ms.clear()
-        case.cpu_ms.clear()
+        case.laps.clear()
     for _ in range(options.rounds):
         for case in every:
             case.run()
@@ -155,9 +156,8 @@ def main() -> None:
     for key, members in series.items():
         pixels = np.array([float(c.needed.sum()) for c in members])
         edges = np.array([float(c.edges) for c in members])
-        cpu = np.array([np.median(c.cpu_ms) for c in members])
-        medians = np.array([np.median(c.times_ms) for c in members])
-        least = np.array([min(c.times_ms) for c in members])
+        medians, cpu = np.array([c.median() for c in members]).T
+        least = np.array([min(lap.clock_ms for lap in c.laps) for c in members])
         a, b, r2 = fit(pixels, cpu)
         others = [fit(*pair)[2] for pair in ((edges, cpu), (pixels, medians))]
         others.append(fit(pixels, least)[2])
@@ -186,7 +186,7 @@ def plot(series: dict[tuple[str, str, str], list[Case]]) -> None:
             if this != size:
                 continue
             x = 100.0 * np.array([c.share for c in members])
-            y = np.array([np.median(c.cpu_ms) for c in members])
+            y = np.array([c.median().processor_ms for c in members])
             style = "o-" if kind == "border" else "x--"
             panel.plot(x, y, style, color=palette[image], label=f"{image}, {kind}")
         panel.set(

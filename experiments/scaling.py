@@ -22,7 +22,6 @@ the last two points alone, where what does not grow weighs least.
 
 import multiprocessing
 import sys
-import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -131,11 +130,12 @@ def measure(part: str, value: float) -> dict[str, float]:
 
     from ataa_jax import memory, pipeline, programs, sampling
     from ataa_jax import world as worlds
+    from ataa_jax.stopwatch import Stopwatch
 
     programs.keep()
-    start = time.perf_counter()
+    watch = Stopwatch()
     loaded = world(part, value)
-    load_s = time.perf_counter() - start
+    load_s = 1e-3 * watch.lap().clock_ms
     samples = int(part[4:]) if part.startswith("fits") else 8
     by_rows = part == "pixels" or part.startswith("fits")
     size = (int(value), int(value) * 16 // 9) if by_rows else SIZE
@@ -153,12 +153,11 @@ def measure(part: str, value: float) -> dict[str, float]:
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
     times: dict[str, list[float]] = {}
-    clocks = [0.0]
 
     def observe(stage: str, buffers: Any) -> Any:
         jax.block_until_ready(buffers)
-        times.setdefault(stage, []).append(1e3 * (time.process_time() - clocks[0]))
-        clocks[0] = time.process_time()
+        times.setdefault(stage, []).append(watch.lap().processor_ms)
+        watch.start()
         return buffers
 
     state = pipeline.init(size, config.resolve.history)
@@ -166,12 +165,13 @@ def measure(part: str, value: float) -> dict[str, float]:
     frames = int(value) if part == "frames" else REPEATS
     for frame in range(-3, frames):
         inputs = shot.inputs(max(frame, 0) % 60, offsets[frame % len(offsets)])
-        begin, clocks[0] = time.perf_counter(), time.process_time()
+        frame_watch = Stopwatch()
+        watch.start()
         output, state = pipeline.stages(
             state, inputs, params, scene=loaded.scene, tracer=loaded.tracer,
             config=config, observe=observe,
         )  # fmt: skip
-        whole.append(1e3 * (time.perf_counter() - begin))
+        whole.append(frame_watch.lap().clock_ms)
         del output
     fold: Callable[[Any], Any] = np.sum if part == "frames" else np.median
     stages = {stage: float(fold(each[3:])) for stage, each in times.items()}
