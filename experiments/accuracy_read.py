@@ -21,6 +21,7 @@ from ataa_jax import files, pipeline
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib import ticker
 
 RESULTS = Path(__file__).parent / "results"
 CLOCKS = {"clock": "ms", "processor": "processor_ms"}
@@ -120,6 +121,9 @@ def draw(
                     *zip(*points, strict=True), "o-", ms=4, c=color, label=label
                 )
         axis.set(title=name, xlabel="ms a frame", ylabel="1 − SSIM")
+        axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+        axis.xaxis.set_minor_formatter(ticker.NullFormatter())
         axis.grid(alpha=0.3, which="both")
     axes[0, 0].legend(fontsize=7)
     figure.suptitle(f"{motion}, {light} light, {size}, 2 CPU cores", fontsize=10)
@@ -131,7 +135,7 @@ def draw(
 def draw_stages(rows: list[dict[str, str]], size: str, file: Path) -> None:
     """Draws where a frame's time goes, a bar a method, a panel a scene."""
     own = [
-        r for r in rows if (r["motion"], r["light"], r["size"]) == ("walk", "own", size)
+        r for r in rows if (r["motion"], r["light"], r["size"]) == ("walk", "one", size)
     ]
     names = list(dict.fromkeys(row["scene"] for row in own))
     if not names:
