@@ -228,7 +228,7 @@ def grid(names: list[str]) -> None:
     takes, start, found, _ = search(names, (90, 160))
     at = map(float, space.coordinates(found.params, SEARCHED))
     own = ("relaxed fit", *at, found.hard_ssim, found.hard_evaluations)
-    rows = [(*own, found.evaluations)]
+    rows: list[tuple] = [(*own, found.evaluations)]
     alone = optimize.nelder_mead(
         score.compiled(SEARCHED),
         space.coordinates(start, SEARCHED),
