@@ -11,7 +11,7 @@ something shows through are not hit: `Tracer.clear` holds them. A ray that is no
 finite, or has no direction, misses.
 
 Two ways lead to Embree, with the same hits: packets of 16 or 8 rays through its C
-interface (`packets`), and one at a time through embreex's classes (`fallback`), about
+interface (`packets`), and one at a time through embreex's classes (`fallback`), two to
 four times slower, where that interface cannot be reached.
 
 Cracks. Embree runs in robust mode: no ray slips through an edge that two triangles

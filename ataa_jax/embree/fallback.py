@@ -2,7 +2,7 @@
 
 `EmbreeScene.run` knows neither instances nor filters nor a near distance, so moving
 groups are traced one after the other in their own spaces, and a hit on a hole of an
-alpha mask is followed by another ray that starts just behind it. About four times
+alpha mask is followed by another ray that starts just behind it. Two to four times
 slower than the packet path; the hits are the same, up to the rounding of transformed
 and restarted rays: one that grazes a silhouette or a hole's rim may fall on the other
 side of it.
