@@ -120,7 +120,7 @@ class Device:
     def lanes(self) -> int:
         """Returns how many rays the processor's vectors hold: 16, 8 or 4.
 
-        Embree takes wider packets too, but traces their rays one at a time then.
+        Embree takes wider packets too: with AVX2, 16 at a time ran at half the rate.
         """
         for lanes, number in NATIVE_RAYS.items():
             if self.library.rtcGetDeviceProperty(self.handle, number):
