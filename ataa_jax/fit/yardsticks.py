@@ -158,18 +158,18 @@ def grid(
     *,
     values: int = 9,
     progress: Callable[[str, int, int], None] = lambda text, done, total: None,
-) -> list[tuple[np.ndarray, float]]:
+) -> list[tuple[np.ndarray, list[float]]]:
     """Scores every point of a grid over the optimizer's own bounds.
 
     Returns:
-        (coordinates in the unit box, mean SSIM over the sequences) of every point.
+        (coordinates in the unit box, SSIM of each sequence) of every point.
     """
     axis = np.linspace(0.0, 1.0, values, dtype=np.float32)
     points = list(itertools.product(axis, repeat=len(quantities)))
     found = []
     for done, point in enumerate(points):
         at = space.place(params, quantities, jnp.asarray(point))
-        ssim = np.mean([score.at_budget(take, at, budget).ssim for take in takes])
-        found.append((np.asarray(point), float(ssim)))
+        ssim = [score.at_budget(take, at, budget).ssim for take in takes]
+        found.append((np.asarray(point), ssim))
         progress("grid", done + 1, len(points))
     return found
