@@ -13,6 +13,8 @@ from jaxtyping import Array, Bool, Int
 _BITS = 32
 
 T = TypeVar("T")
+U = TypeVar("U")
+V = TypeVar("V")
 
 
 def for_each_chunk(
@@ -49,6 +51,46 @@ def for_each_chunk(
 
     start = (jnp.zeros((), jnp.int32), carry)
     return jax.lax.while_loop(lambda state: state[0] < count, body, start)[1]
+
+
+def map_chunks(
+    needed: Bool[Array, " n"],
+    chunk: int,
+    work: Callable[[T, Bool[Array, " c"]], tuple[U, V]],
+    rows: T,
+) -> tuple[U, V]:
+    """Maps a function over the elements asked for, packed together.
+
+    Args:
+        needed: the elements asked for.
+        chunk: about as many elements at a time.
+        work: takes a chunk's rows and which of them are used; returns rows, and what
+            is to be summed over all chunks, 0 for rows that are not used.
+        rows: any pytree of n rows; a scalar goes with every one of them.
+
+    Returns:
+        (rows, 0 where they were not asked for; sums).
+    """
+    n = needed.shape[0]
+    # As equal as they can be, and a multiple of every vector's width.
+    chunk = -(-n // (-(-n // chunk) * _BITS)) * _BITS
+
+    def place(
+        index: Int[Array, " c"], used: Bool[Array, " c"], carry: tuple[U, V]
+    ) -> tuple[U, V]:
+        whole, sums = carry
+        taken = jnp.minimum(index, n - 1)
+        found, own = work(jax.tree.map(lambda x: _rows(x, taken), rows), used)
+        whole = jax.tree.map(lambda x, y: x.at[index].set(y, mode="drop"), whole, found)
+        return whole, jax.tree.map(jnp.add, sums, own)
+
+    shapes = jax.eval_shape(work, rows, needed)
+    start = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    return for_each_chunk(needed, chunk, place, start)
+
+
+def _rows(array: Array, index: Int[Array, " c"]) -> Array:
+    return array.at[index].get(mode="promise_in_bounds") if array.ndim else array
 
 
 def compact(

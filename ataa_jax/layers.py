@@ -18,7 +18,7 @@ from ataa_jax.vector import Vec3
 
 # our choice: layers behind the 64th let everything through unchanged.
 MAX_LAYERS = 64
-CHUNK = 4096  # our choice, as `raytrace.Config.chunk`
+CHUNK = 4096  # our choice: few of a picture's rays pass through anything
 
 # (directions, hits) → the share that the surfaces let through, and the surfaces.
 Share = Callable[[Vec3, Hits], tuple[Vec3, Surface]]

@@ -23,10 +23,9 @@ from ataa_jax.surface import Surface, interpolate, previous_position
 from ataa_jax.types import Camera, FrameInputs, GBuffer, Hits, Rays, Scene
 from ataa_jax.vector import Vec3
 
-# our choice: an image is drawn in bands of rows, so that the temporaries of shading,
-# some 300 bytes a pixel, stay small and near the cores whatever the size. Sponza at
-# 1080p took 790 ms in bands of 2^16 pixels, 910 in 2^15, 800 in 2^17, 1,200 at once.
-_BAND_PIXELS = 1 << 16
+# our choice: an image is drawn in bands of rows, so that what the rays met, some 100
+# bytes a pixel, stays small whatever the size. What is shaded comes in smaller chunks.
+_BAND_PIXELS = 1 << 17
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,15 @@ here both call `radiance`. Lights are KHR_lights_punctual with one shadow ray ea
 (paper, section 4); the sky adds an ambient term scaled by one visibility.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import embree, layers, vector
+from ataa_jax import compact, embree, layers, vector
 from ataa_jax.material import Config, Material, brdf, evaluate, reflection
 from ataa_jax.surface import Surface, interpolate, lifted
 from ataa_jax.types import LIGHT_DIRECTIONAL, LIGHT_SPOT, Hits, Lights, Rays, Scene, Sky
@@ -20,6 +23,10 @@ MIN_SQUARED_DISTANCE = 2.0**-40  # light on the surface: large, but finite
 # our choice: a shadow ray ends this share of its length before the light, as large as
 # the share of the coordinates by which it leaves its surface (`surface.lifted`).
 SHORT = 2.0**-16
+# our choice: of more hits, so many are shaded at a time. Drawing the ship, a tenth of
+# whose pixels are no sky, takes half of the time that it takes to shade all pixels;
+# Sponza, which has no sky, as long as that. With 2^13 Sponza takes a third longer.
+CHUNK = 1 << 15
 
 
 class Mirror(eqx.Module):
@@ -75,6 +82,56 @@ def radiance(
     Returns:
         Radiance and surfaces; shadow rays are cast for lit, facing hits only.
     """
+    shade = partial(
+        _shade, scene, tracer, world_from_group, mip_bias, config=config, clear=clear
+    )
+    if hits.triangle.shape[0] <= CHUNK:
+        shaded = shade(direction, hits, steps, tile=tile)
+    else:
+        shaded = _packed(shade, direction, hits, steps)
+    background: Vec3 | float = 0.0
+    if config.sky:
+        background = sky_radiance(scene.sky, vector.normalize(direction))
+    color = vector.select(shaded.surface.hit, shaded.color, background)
+    return eqx.tree_at(lambda s: s.color, shaded, vector.materialize(color))
+
+
+def _packed(
+    shade: Callable[..., Shaded],
+    direction: Vec3,
+    hits: Hits,
+    steps: tuple[Vec3, Vec3] | None,
+) -> Shaded:
+    """Shades what hit something, packed together: sky costs nothing."""
+
+    def work(
+        row: tuple[Vec3, Hits, tuple[Vec3, Vec3] | None], used: Bool[Array, " c"]
+    ) -> tuple[Shaded, Rays]:
+        toward, met, step = row
+        triangle = jnp.where(used, met.triangle, -1)
+        met = eqx.tree_at(lambda h: h.triangle, met, triangle)
+        part = shade(toward, met, step, tile=None)
+        return eqx.tree_at(lambda s: s.rays, part, None), part.rays
+
+    rows = direction, hits, steps
+    shaded, rays = compact.map_chunks(hits.triangle >= 0, CHUNK, work, rows)
+    return eqx.tree_at(lambda s: s.rays, shaded, rays, is_leaf=lambda x: x is None)
+
+
+def _shade(
+    scene: Scene,
+    tracer: embree.Tracer,
+    world_from_group: Float[Array, "g 3 4"],
+    mip_bias: Float[Array, ""] | float,
+    direction: Vec3,
+    hits: Hits,
+    steps: tuple[Vec3, Vec3] | None,
+    *,
+    config: Config,
+    tile: tuple[int, int] | None,
+    clear: bool,
+) -> Shaded:
+    """Shades as `radiance` does; the colour of a miss means nothing."""
     surface = vector.materialize(
         interpolate(scene.geometry, world_from_group, hits, direction, steps)
     )
@@ -102,10 +159,6 @@ def radiance(
     if material.emissive is not None:
         # Materialized first: fused, an emission of 0 would still change a last bit.
         color = vector.materialize(color) + material.emissive
-    background: Vec3 | float = 0.0
-    if config.sky:
-        background = sky_radiance(scene.sky, -view)
-    color = vector.select(surface.hit, color, background)
     return Shaded(
         color=vector.materialize(color),
         surface=surface,

@@ -22,8 +22,6 @@ from ataa_jax.surface import Surface, lifted
 from ataa_jax.types import Hits, Rays, Scene
 from ataa_jax.vector import Vec3
 
-_CHUNK = 4096  # our choice, as `raytrace.Config.chunk`
-
 # our choice: a layer that lets less than half through is what the G-buffer shows.
 _SHOWN = 0.5
 

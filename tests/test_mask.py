@@ -56,6 +56,27 @@ def test_compaction_lists_the_pixels_in_row_major_order(size, density, seed):
     assert np.all(np.asarray(indices)[len(expected) :] == mask.size)
 
 
+@settings(max_examples=20)
+@given(
+    count=st.sampled_from([1, 31, 64, 1000]),
+    chunk=st.sampled_from([1, 40, 5000]),
+    density=st.sampled_from([0.0, 0.1, 1.0]),
+)
+def test_mapping_by_chunks_equals_mapping_all(count, chunk, density):
+    rng = np.random.default_rng(count)
+    needed, values = rng.random(count) < density, rng.integers(1, 99, (count, 2))
+
+    def work(rows, used):
+        doubled = {"one": 2 * rows[:, 0], "both": -rows}
+        return doubled, jnp.sum(jnp.where(used, rows[:, 0], 0))
+
+    rows = jnp.asarray(values, jnp.int32)
+    found, total = compact.map_chunks(jnp.asarray(needed), chunk, work, rows)
+    np.testing.assert_array_equal(found["one"], 2 * values[:, 0] * needed)
+    np.testing.assert_array_equal(found["both"], -values * needed[:, None])
+    assert int(total) == values[needed, 0].sum()
+
+
 @given(st.integers(0, 2), st.integers(0, 1 << 20))
 def test_the_mask_is_unpacked_as_packed_and_saturates(method, history):
     mask = segmentation.pack_mask(

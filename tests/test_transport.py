@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from ataa_jax import effects, embree, raster, raytrace
-from tests import frames, tiny
+from ataa_jax import effects, embree, raster, raytrace, shading
+from tests import frames, furnished, tiny
 
 SIZE = (12, 16)
 BLACK = tiny.Sky(*((0.0, 0.0, 0.0),) * 3)
@@ -69,6 +69,31 @@ def test_layers_composite_back_to_front_whatever_their_order_in_the_file(order):
     # float32, a dozen operations of order 1
     np.testing.assert_allclose(found[CENTRE], over(nearest_first, wall), atol=1e-6)
     np.testing.assert_allclose(found, found[CENTRE][None, None] + 0 * found, atol=1e-6)
+
+
+@pytest.mark.parametrize("shot", [furnished.yard, furnished.workshop])
+def test_shading_only_what_was_hit_changes_nothing(shot, monkeypatch):
+    made = shot()
+    config = raster.Config(size=made.size, shading=effects.required(made.scene))
+
+    def drawn() -> raster.RasterOutput:
+        return raster.raster.jitted(
+            made.scene, made.inputs, raster.default_params(made.mip_bias),
+            tracer=embree.build(made.scene), config=config,
+        )  # fmt: skip
+
+    assert made.size[0] * made.size[1] < shading.CHUNK
+    whole = drawn()
+    monkeypatch.setattr(shading, "CHUNK", 100)
+    raster.raster.jitted.clear_cache()
+    packed = drawn()
+    raster.raster.jitted.clear_cache()
+    # Vectors of other lengths round elsewhere, by a unit or two in the last place.
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6),
+        whole,
+        packed,
+    )
 
 
 def test_sixty_four_layers_deep():
