@@ -5,15 +5,17 @@
 Three scenes, walks of typical motion, 12 frames of 320×180 after 8 that are not scored.
 The relaxed fit is solved at each price a ray, and spends the rays that are worth it;
 its weights and threshold then run hard, in closed loop. At the same rays stand the
-paper's equal weights, and the oracle mask. Milliseconds are of a whole frame of the
-pipeline, tracing with Embree, the median of some: processor time of all threads, and
-beside it the clock's.
+paper's equal weights, the best of the grid (`fit_thresholds.py grid`) for these scenes
+at 0.5 rays a pixel, random pixels and the oracle mask. Milliseconds are of a whole
+frame of the pipeline, tracing with Embree, the median of some: processor time of all
+threads, and beside it the clock's.
 """
 
 import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import fit_thresholds
 import jax
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -75,6 +77,8 @@ def sweep(name: str) -> list[tuple]:
     start = space.place(made.params, (space.HOLD,), jnp.zeros(1))
     threshold = score.at_budget(take, start, 0.5).threshold
     first = jnp.log(jnp.asarray([1.0] * len(quantities) + [threshold]))
+    point, _, _ = fit_thresholds.best_of_grid(SCENES)
+    gridded = space.place(made.params, fit_thresholds.SEARCHED, jnp.asarray(point))
     rows = []
     for price in PRICES:
         current, y = start, first
@@ -104,9 +108,16 @@ def sweep(name: str) -> list[tuple]:
             )
             ms = _both(milliseconds(shot, made.config, numbers))
             rows.append((name, price, "equal", equal.rays, equal.ssim, *ms))
-            oracle = yardsticks.oracle(plain, made.params, fitted.rays)
             none = (float("nan"), float("nan"))
-            rows.append((name, price, "oracle", oracle.rays, oracle.ssim, *none))
+            others = {
+                "grid": score.at_budget(take, gridded, fitted.rays),
+                "random": yardsticks.random(plain, made.params, fitted.rays),
+                "oracle": yardsticks.oracle(plain, made.params, fitted.rays),
+            }
+            rows += [
+                (name, price, contender, found.rays, found.ssim, *none)
+                for contender, found in others.items()
+            ]
         for each in rows:
             if each[1] == price:
                 print(*each, flush=True)
@@ -124,7 +135,7 @@ def draw(rows: Sequence[tuple], file: Path) -> None:
         2, len(names), figsize=(4 * len(names), 6), squeeze=False
     )
     for column, name in enumerate(names):
-        for contender in ("oracle", "fitted", "equal"):
+        for contender in ("oracle", "fitted", "grid", "equal", "random"):
             own = [r for r in rows if r[0] == name and r[2] == contender]
             own.sort(key=lambda r: r[3])
             for line, x in ((0, 3), (1, 5)):

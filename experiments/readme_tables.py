@@ -160,15 +160,15 @@ def fit() -> str:
             NAMES[row["scene"]],
             *(
                 f"{float(row[key]):.4f}"
-                for key in ("taa", "random", "equal", "fitted", "oracle")
+                for key in ("taa", "random", "equal", "grid", "fitted", "oracle")
             ),
             percent(row["closed"]),
             f"{float(row['carried']):.4f} at {float(row['carried_rays']):.2f}",
         ]
         for row in read("fit_held_out.csv")
     ]
-    head = ["SSIM, held out", "TAA", "random", "equal weights", "fitted", "oracle"]
-    return markdown([*head, "closed", "carried over"], rows)
+    head = ["SSIM, held out", "TAA", "random", "equal weights", "grid", "fitted"]
+    return markdown([*head, "oracle", "closed", "carried over"], rows)
 
 
 def cost() -> str:
