@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 _BITS = 32
+BLOCK = 4  # pixels a side; a packet of rays is a block, or a half or quarter of one
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -58,6 +59,7 @@ def map_chunks(
     chunk: int,
     work: Callable[[T, Bool[Array, " c"]], tuple[U, V]],
     rows: T,
+    tile: tuple[int, int] | None = None,
 ) -> tuple[U, V]:
     """Maps a function over the elements asked for, packed together.
 
@@ -67,6 +69,8 @@ def map_chunks(
         work: takes a chunk's rows and which of them are used; returns rows, and what
             is to be summed over all chunks, 0 for rows that are not used.
         rows: any pytree of n rows; a scalar goes with every one of them.
+        tile: image (height, width) where the elements are its pixels in row-major
+            order: pixels of 4×4 blocks then stay together, as rays like it.
 
     Returns:
         (rows, 0 where they were not asked for; sums).
@@ -75,10 +79,13 @@ def map_chunks(
     # As equal as they can be, and a multiple of every vector's width.
     chunk = -(-n // (-(-n // chunk) * _BITS)) * _BITS
 
+    blocked, unblocked = _blocks(tile)
+
     def place(
         index: Int[Array, " c"], used: Bool[Array, " c"], carry: tuple[U, V]
     ) -> tuple[U, V]:
         whole, sums = carry
+        index = jnp.where(index < n, unblocked(index), n)
         taken = jnp.minimum(index, n - 1)
         found, own = work(jax.tree.map(lambda x: _rows(x, taken), rows), used)
         whole = jax.tree.map(lambda x, y: x.at[index].set(y, mode="drop"), whole, found)
@@ -86,7 +93,30 @@ def map_chunks(
 
     shapes = jax.eval_shape(work, rows, needed)
     start = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return for_each_chunk(needed, chunk, place, start)
+    return for_each_chunk(blocked(needed), chunk, place, start)
+
+
+def _blocks(
+    tile: tuple[int, int] | None,
+) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """Returns how pixels are put in the order of blocks, and where each then is from.
+
+    An image that is not made of whole blocks keeps its order.
+    """
+    if tile is None or tile[0] % BLOCK or tile[1] % BLOCK:
+        return lambda x: x, lambda i: i
+    across = tile[1] // BLOCK
+
+    def blocked(values: Array) -> Array:
+        cut = values.reshape(-1, BLOCK, across, BLOCK)
+        return cut.transpose(0, 2, 1, 3).reshape(-1)
+
+    def unblocked(index: Array) -> Array:
+        block, within = index // BLOCK**2, index % BLOCK**2
+        row = block // across * BLOCK + within // BLOCK
+        return row * tile[1] + block % across * BLOCK + within % BLOCK
+
+    return blocked, unblocked
 
 
 def _rows(array: Array, index: Int[Array, " c"]) -> Array:

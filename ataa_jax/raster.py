@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ataa_jax import camera as cameras
-from ataa_jax import embree, exported, transport, vector
+from ataa_jax import compact, embree, exported, transport, vector
 from ataa_jax.shading import Config as ShadingConfig
 from ataa_jax.shading import clear_of
 from ataa_jax.surface import Surface, interpolate, previous_position
@@ -91,6 +91,9 @@ def raster(
     rows = min(height, max(1, _BAND_PIXELS // width))
     bands = -(-height // rows)
     rows = -(-height // bands)  # as equal as they can be
+    if bands > 1:  # of whole blocks of rays
+        rows = -(-rows // compact.BLOCK) * compact.BLOCK
+        bands = -(-height // rows)
 
     def band(first_row: Int[Array, ""]) -> tuple[Float[Array, "r w 3"], GBuffer, Rays]:
         return _band(

@@ -88,7 +88,7 @@ def radiance(
     if hits.triangle.shape[0] <= CHUNK:
         shaded = shade(direction, hits, steps, tile=tile)
     else:
-        shaded = _packed(shade, direction, hits, steps)
+        shaded = _packed(shade, direction, hits, steps, tile)
     background: Vec3 | float = 0.0
     if config.sky:
         background = sky_radiance(scene.sky, vector.normalize(direction))
@@ -101,6 +101,7 @@ def _packed(
     direction: Vec3,
     hits: Hits,
     steps: tuple[Vec3, Vec3] | None,
+    tile: tuple[int, int] | None,
 ) -> Shaded:
     """Shades what hit something, packed together: sky costs nothing."""
 
@@ -114,7 +115,7 @@ def _packed(
         return eqx.tree_at(lambda s: s.rays, part, None), part.rays
 
     rows = direction, hits, steps
-    shaded, rays = compact.map_chunks(hits.triangle >= 0, CHUNK, work, rows)
+    shaded, rays = compact.map_chunks(hits.triangle >= 0, CHUNK, work, rows, tile)
     return eqx.tree_at(lambda s: s.rays, shaded, rays, is_leaf=lambda x: x is None)
 
 

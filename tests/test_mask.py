@@ -59,10 +59,12 @@ def test_compaction_lists_the_pixels_in_row_major_order(size, density, seed):
 @settings(max_examples=20)
 @given(
     count=st.sampled_from([1, 31, 64, 1000]),
+    width=st.sampled_from([1, 4, 8, 100]),
     chunk=st.sampled_from([1, 40, 5000]),
     density=st.sampled_from([0.0, 0.1, 1.0]),
 )
-def test_mapping_by_chunks_equals_mapping_all(count, chunk, density):
+def test_mapping_by_chunks_equals_mapping_all(count, width, chunk, density):
+    tile = (count // width, width) if count % width == 0 else None
     rng = np.random.default_rng(count)
     needed, values = rng.random(count) < density, rng.integers(1, 99, (count, 2))
 
@@ -71,7 +73,7 @@ def test_mapping_by_chunks_equals_mapping_all(count, chunk, density):
         return doubled, jnp.sum(jnp.where(used, rows[:, 0], 0))
 
     rows = jnp.asarray(values, jnp.int32)
-    found, total = compact.map_chunks(jnp.asarray(needed), chunk, work, rows)
+    found, total = compact.map_chunks(jnp.asarray(needed), chunk, work, rows, tile)
     np.testing.assert_array_equal(found["one"], 2 * values[:, 0] * needed)
     np.testing.assert_array_equal(found["both"], -values * needed[:, None])
     assert int(total) == values[needed, 0].sum()
