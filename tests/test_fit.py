@@ -200,15 +200,18 @@ def test_both_readings_fire_by_one_threshold(take, recording):
     assert float(solved.rays) == pytest.approx(0.5, rel=0.05)
 
 
-def test_nelder_mead_finds_the_bottom_of_a_bowl_and_counts_its_evaluations():
+@pytest.mark.parametrize("centre", [[0.3, -0.2], [0.3, -0.2, 0.6]])
+def test_nelder_mead_finds_the_bottom_of_a_bowl_and_counts_its_evaluations(centre):
     calls = []
 
     def bowl(x, centre):
         jax.debug.callback(lambda: calls.append(1))
         return jnp.sum((x - centre) ** 2)
 
-    centre = jnp.asarray([0.3, -0.2])
-    found = optimize.nelder_mead(bowl, jnp.zeros(2), centre, steps=60, tolerance=1e-9)
+    centre = jnp.asarray(centre)
+    found = optimize.nelder_mead(
+        bowl, jnp.zeros_like(centre), centre, steps=150, tolerance=1e-9
+    )
     jax.effects_barrier()
     np.testing.assert_allclose(found.x, centre, atol=1e-3)
     assert found.value == pytest.approx(float(jnp.sum((found.x - centre) ** 2)))

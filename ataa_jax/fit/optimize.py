@@ -59,7 +59,7 @@ def nelder_mead(
         checkpoints: where the state is kept after every step.
         progress: told after every step.
     """
-    solver = optx.NelderMead(rtol=0.0, atol=tolerance, rdelta=0.0, adelta=reach)
+    solver = optx.NelderMead(rtol=0.0, atol=tolerance)
     # One point at a time: a batch of closed loops costs what they cost in turn.
     one = jax.custom_batching.sequential_vmap(objective)
 
@@ -68,6 +68,11 @@ def nelder_mead(
 
     struct = jax.eval_shape(objective, start, args)
     state = solver.init(fn, start, args, {}, struct, None, frozenset())
+    # optimistix 0.1.0 counts through its first simplex in the wrong order: it is flat,
+    # two of its vertices are the start. One given as an option it refuses.
+    size = start.shape[0]
+    simplex = start[None] + reach * jnp.eye(size + 1, size, -1, dtype=start.dtype)
+    state = eqx.tree_at(lambda s: s.simplex, state, simplex)
     dynamic, static = eqx.partition(state, eqx.is_array)
 
     @jax.jit
