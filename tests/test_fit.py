@@ -180,7 +180,7 @@ def test_only_ratios_of_the_weights_matter(take, recording):
 def test_coordinates_and_places_are_inverse():
     quantities = (*space.weights(TERMS), *space.KNOWN)
     _, params = pipeline.preset("tuned", None, (4, 4))
-    u = jnp.asarray([0.1, 0.9, 0.4, 0.5, 0.3, 0.2, 0.7])
+    u = jnp.asarray([0.1, 0.9, 0.4, 0.5, 0.3, 0.2, 0.7, 0.6])
     placed = space.place(params, quantities, u)
     back = space.coordinates(placed, quantities)
     np.testing.assert_allclose(back, u, atol=1e-5)  # float32 logarithms
@@ -396,8 +396,32 @@ def test_a_reference_of_another_size_is_refused(recording):
 def test_unknown_terms_and_no_scenes_are_refused(recording):
     with pytest.raises(InputError, match="unknown term 'magic'"):
         fits.fit([recording], dataclasses.replace(OPTIONS, terms=("magic",)))
+    width = dataclasses.replace(OPTIONS, quantities=("taa.variance_gamma",))
+    with pytest.raises(InputError, match="rectified by 'clip'"):
+        fits.fit([recording], width)
     with pytest.raises(InputError, match="at least one scene"):
         fits.fit([], OPTIONS)
+
+
+def test_the_width_of_a_variance_clip_is_fitted_where_there_is_one(recording):
+    taa = dataclasses.replace(recording.config.taa, rectify="variance_clip")
+    config = dataclasses.replace(recording.config, taa=taa)
+    clipped = dataclasses.replace(recording, config=config)
+    options = dataclasses.replace(
+        OPTIONS, quantities=("taa.variance_gamma",), solver="none", steps=2
+    )
+    found = fits.fit([clipped], options)
+    told = result.table(found, {})["taa"]["variance_gamma"]
+    assert told == pytest.approx(float(found.params.taa.variance_gamma), rel=1e-5)
+    narrow, wide = (
+        score.at_budget(
+            fits.Take.of(clipped),
+            space.place(recording.params, (space.CLIP,), jnp.full(1, u)),
+            0.5,
+        ).ssim
+        for u in (0.0, 1.0)
+    )
+    assert narrow != wide
 
 
 def test_where_taa_is_exact_nothing_is_fitted_and_that_is_said(recording):

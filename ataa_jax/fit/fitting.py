@@ -94,8 +94,8 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
 
     Raises:
         InputError: no recordings, of different sizes or rays a pixel, too small for
-            SSIM, a reference of another size, a budget that no mask can spend, or
-            terms that captures have no buffers for.
+            SSIM, a reference of another size, a budget that no mask can spend, terms
+            that captures have no buffers for, or the width of a clip that has none.
     """
     if not recordings:
         raise InputError("a fit needs at least one scene")
@@ -114,6 +114,12 @@ def check(recordings: Sequence[Recording], options: Options) -> None:
             raise InputError(
                 f"the reference of {each.name} is of shape {shape}, its frames of "
                 f"{tuple(each.frames.color.shape)}; render it at the same size"
+            )
+        rectify = each.config.taa.rectify
+        if space.CLIP.name in options.quantities and rectify != "variance_clip":
+            raise InputError(
+                f"'{space.CLIP.name}' is the width of TAA's variance clip, and "
+                f"{each.name} is rectified by '{rectify}'"
             )
     if any(each.captured for each in recordings):
         captured.check_terms(options.terms)

@@ -29,12 +29,13 @@ def table(fitted: Fitted, scenes: dict[str, str]) -> dict[str, Any]:
         scenes: content hash by the recordings' names.
     """
     numbers = parameters.table(fitted.params)
+    own = {"count_limit", *(q.removeprefix("taa.") for q in fitted.options.quantities)}
     options = dataclasses.asdict(fitted.options)
     height, width = fitted.size
     return {
         "budget": fitted.options.budget,
         "segmentation": numbers["segmentation"],
-        "taa": {"count_limit": numbers["taa"]["count_limit"]},
+        "taa": {key: n for key, n in numbers["taa"].items() if key in own},
         "resolve": numbers["resolve"],
         "choices": {"segmentation": parameters.switches(fitted.config)},
         "fit": {

@@ -79,11 +79,13 @@ HOLD = Quantity("segmentation.hold", 0.0, 8.0, "whole")
 # our choice: from under one step of 8 bits' noise to where nothing is busy.
 CONTRAST = Quantity("segmentation.response_contrast", 0.01, 1.0)
 # TAA's own, a separate choice: the frames that a history counts as at most, which is
-# its blend, and what a traced colour counts as.
+# its blend, the width of its variance clip where it has one, and what a traced colour
+# counts as.
 BLEND = Quantity("taa.count_limit", 1.0, 16.0)
+CLIP = Quantity("taa.variance_gamma", 0.5, 4.0)
 TRACED = Quantity("resolve.traced_count", 1.0, 16.0)
 
-KNOWN = (RESET, HOLD, CONTRAST, BLEND, TRACED)
+KNOWN = (RESET, HOLD, CONTRAST, BLEND, CLIP, TRACED)
 
 
 def weights(terms: tuple[str, ...]) -> tuple[Quantity, ...]:
