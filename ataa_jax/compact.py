@@ -78,7 +78,6 @@ def map_chunks(
     n = needed.shape[0]
     # As equal as they can be, and a multiple of every vector's width.
     chunk = -(-n // (-(-n // chunk) * _BITS)) * _BITS
-
     blocked, unblocked = _blocks(tile)
 
     def place(
