@@ -13,6 +13,7 @@ the stages compute in; their namesakes take images with a trailing axis of three
 
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -182,5 +183,9 @@ def display(
     Returns:
         sRGB in [0, 1].
     """
-    mapped = tonemap_vec(sanitize_vec(vector.unstack(linear) * exposure))
-    return srgb_encode(vector.stack(mapped))
+    return vector.stack(display_vec(vector.unstack(linear) * exposure))
+
+
+def display_vec(exposed: Vec3) -> Vec3:
+    """Returns tone map and sRGB of exposed radiance; see `display`."""
+    return jax.tree.map(srgb_encode, tonemap_vec(sanitize_vec(exposed)))

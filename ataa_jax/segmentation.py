@@ -20,10 +20,11 @@ from functools import reduce
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import exported, formats, terms, window
+from ataa_jax import exported, formats, terms, vector, window
 from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
@@ -254,9 +255,12 @@ def segmentation(
     """
     images = (state, color, gbuffer, reprojected, blended)
     state, color, gbuffer, reprojected, blended = formats.widen(images)
-    row, column = window.history_position(
-        gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    )
+    on = criteria(color, gbuffer, reprojected, blended, params, config)
+    position = window.history_position(gbuffer.motion[..., 0], gbuffer.motion[..., 1])
+    # Materialized together: fused into all that reads them, the terms would be computed
+    # several times, and their images would stay until the end.
+    measured, (row, column) = vector.materialize(([c.term for c in on], position))
+    on = [c._replace(term=term) for c, term in zip(on, measured, strict=True)]
     previous = window.nearest_index(row, column)
     new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
     change, length = _motion_change(state, gbuffer, row, column, config)
@@ -280,7 +284,6 @@ def segmentation(
     reset = (held_frames > 0) & ~(change <= params.reset_px) & ~fxaa
     held = (held_frames > 0) & ~reset & ~fxaa
 
-    on = criteria(color, gbuffer, reprojected, blended, params, config)
     score, firing_score = _score(on, params, config)
     fires = (score > firing_score) & ~fxaa
     score = jnp.where(held, jnp.maximum(score, firing_score), score)
@@ -389,11 +392,14 @@ def _motion_change(
     is the one of the 3×3 that differs least.
     """
     x, y = gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    steps = (-1.0, 0.0, 1.0) if config.disocclusion == "neighbourhood" else (0.0,)
     then_x, then_y = state.history.motion[..., 0], state.history.motion[..., 1]
-    least = jnp.full(x.shape, jnp.inf, jnp.float32)
-    length = jnp.zeros(x.shape, jnp.float32)
-    for down in steps:
+    steps = (-1.0, 0.0, 1.0) if config.disocclusion == "neighbourhood" else (0.0,)
+
+    def in_row(
+        step: Int[Array, ""] | int, best: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        least, length = best
+        down = jnp.asarray(steps, jnp.float32)[step]
         for right in steps:
             index = window.nearest_index(row + down, column + right)
             px, py = window.read(then_x, index), window.read(then_y, index)
@@ -401,8 +407,13 @@ def _motion_change(
             closer = difference < least
             least = jnp.where(closer, difference, least)
             length = jnp.where(closer, px * px + py * py, length)
+        return least, length
+
+    # A loop, so that what one row of neighbours reads takes the place of the last's.
+    start = jnp.full(x.shape, jnp.inf, jnp.float32), jnp.zeros(x.shape, jnp.float32)
+    least, length = jax.lax.fori_loop(0, len(steps), in_row, start)
     longer = jnp.maximum(x * x + y * y, length)
-    return jnp.sqrt(least), jnp.sqrt(longer)
+    return vector.materialize((jnp.sqrt(least), jnp.sqrt(longer)))
 
 
 def _was_hidden(

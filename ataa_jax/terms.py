@@ -177,7 +177,10 @@ def response(
         contrast: c > 0, the σ at which Δ counts for 1/√2 of what it does on a flat
             area.
     """
-    now, then = (vector.unstack(colors.display(i)) for i in (blended, reprojected))
+    now, then = (
+        vector.materialize(colors.display_vec(vector.unstack(image)))
+        for image in (blended, reprojected)
+    )
     x, y, z = now.x - then.x, now.y - then.y, now.z - then.z
     mean = (x * x + y * y + z * z) * (1.0 / 3.0)
     _, variance = _mean_and_variance(colors.luma_vec(then))

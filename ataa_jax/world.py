@@ -196,6 +196,8 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
+    if size is not None:
+        memory.return_planes(size)
     return prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
 
 

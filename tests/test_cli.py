@@ -194,7 +194,8 @@ def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys)
     assert 0.4 < rows["ATAA 8x rays a pixel"] <= 0.5
     assert rows["ATAA 8x frame"] >= rows["ATAA 8x raster"] > 0.0
     assert rows["SSAA 8x frame"] > 0.0
-    assert 0.05 < rows["peak memory at 32x18"] < 2.0  # GB; JAX alone takes 0.2
+    for start in ("first", "second"):  # GB; JAX alone takes 0.2
+        assert 0.05 < rows[f"peak memory at 32x18, {start} start"] < 2.0
     assert "ATAA 8x frame" in capsys.readouterr().out
 
 

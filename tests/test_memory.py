@@ -40,3 +40,35 @@ print(before - resident())
         [sys.executable, "-c", words], capture_output=True, text=True, check=True
     )
     assert int(child.stdout) > 200  # MB, of 400
+
+
+@pytest.mark.skipif(
+    not hasattr(ctypes.CDLL(None), "mallopt"), reason="another libc than glibc"
+)
+def test_planes_of_large_images_go_back_to_the_system():
+    # Once a larger buffer was freed, glibc would keep this one, with one above it held.
+    words = """
+import sys
+import numpy as np, psutil
+from ataa_jax import memory
+def resident(): return psutil.Process().memory_info().rss >> 20
+if sys.argv[1] == "large": memory.return_planes((1080, 1920))
+if sys.argv[1] == "small": memory.return_planes((360, 640))
+taught = np.ones(30 << 20, np.uint8)
+del taught
+planes = [np.ones(6 << 20, np.uint8) for _ in range(20)]
+held = np.ones(1 << 20, np.uint8)
+before = resident()
+planes.clear()
+print(before - resident())
+"""
+
+    def returned(size: str) -> int:
+        child = subprocess.run(
+            [sys.executable, "-c", words, size],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return int(child.stdout)
+
+    assert returned("large") > 110  # of 120 MB
+    assert returned("small") < 60

@@ -267,7 +267,7 @@ def bench(
                 rows = benchmark.against_mitsuba(loaded, extent, camera, rays)
             else:
                 rows = benchmark.run(loaded, extent, camera, rays)
-                rows.append(benchmark.peak_memory(scene))
+                rows += benchmark.peak_memory(scene)
                 if scene == worlds.BUILTIN:
                     rows.append(benchmark.generation())
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
