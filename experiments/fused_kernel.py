@@ -1,8 +1,9 @@
 """TAA and segmentation as fused numba loops: how far off are the jitted stages?
 
-Found: by 1.5 times at 640×360 and 1.7 at 1920×1080, where two cores take some 600 ms
-for both stages; the oracle takes thousands of times as long. Both give the same picture
-within 5e-5 in sRGB, and the same method but for one pixel in 200,000.
+Found: by 2.1 times at 640×360 and 2.7 at 1920×1080, where two cores take some 600 ms
+for both stages (1.5 and 1.7 while other work shared the cores, which slowed the loops
+more); the oracle takes thousands of times as long. Both give the same picture within
+1.1e-4 in sRGB, and the same method at every pixel.
 
 The tuned preset alone (`fused_loops`). It is a yardstick of speed, kept
 honest by comparing its results with the stages'. The NumPy oracle of the tests, one

@@ -3,6 +3,7 @@
 import io
 import math
 import warnings
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,17 +50,25 @@ class Materials:
 
 
 def read_materials(container: Container) -> Materials:
-    """Reads every material and decodes every image that one of them uses."""
-    library = _Library(container)
-    sources = []
-    uv_maps = []
-    for index, record in enumerate(container.items("materials")):
-        source, uv_map = _material(container, library, record, f"materials[{index}]")
-        sources.append(source)
-        uv_maps.append(uv_map)
+    """Reads every material and decodes, on all cores, the images that they use."""
+    pool = ThreadPoolExecutor()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's: sizes are checked here
+            library = _Library(container, pool)
+            sources = []
+            uv_maps = []
+            for index, record in enumerate(container.items("materials")):
+                where = f"materials[{index}]"
+                source, uv_map = _material(container, library, record, where)
+                sources.append(source)
+                uv_maps.append(uv_map)
+            textures = library.textures()
+    finally:
+        pool.shutdown(cancel_futures=True)
     sources.append(MaterialSource(name="default"))
     uv_maps.append(None)
-    return Materials(sources, library.textures, uv_maps)
+    return Materials(sources, textures, uv_maps)
 
 
 def _material(
@@ -168,18 +177,34 @@ def _uv_map(container: Container, info: dict[str, Any], where: str) -> UvMap:
     return UvMap(uv_set, ((c * sx, s * sy, tx), (-s * sx, c * sy, ty)))
 
 
+_Key = tuple[str, Any]  # where an image is stored
+_Use = tuple[_Key, bool, int, int]  # and how it is read: encoding, wrap modes
+
+
 class _Library:
     """Textures by what makes them differ, and images by where they are stored."""
 
-    def __init__(self, container: Container) -> None:
-        self.textures: list[TextureSource] = []
+    def __init__(self, container: Container, pool: ThreadPoolExecutor) -> None:
         self._container = container
-        self._indices: dict[tuple[Any, ...], int] = {}
-        self._images: dict[tuple[str, Any], np.ndarray] = {}
+        self._pool = pool
+        self._indices: dict[_Use, int] = {}
+        self._images: dict[_Key, tuple[str, Future[np.ndarray]]] = {}
         self._texels = 0
 
+    def textures(self) -> list[TextureSource]:
+        """Returns all that were asked for, once their images are decoded."""
+        found = []
+        for key, srgb, wrap_u, wrap_v in self._indices:  # in the order of their places
+            where, image = self._images[key]
+            try:
+                texels = image.result()
+            except Exception as error:  # decoders raise whatever they like
+                raise self._container.fail(_undecodable(where, error)) from None
+            found.append(TextureSource(texels, srgb, wrap_u, wrap_v))
+        return found
+
     def texture(self, index: Any, srgb: bool, user: str) -> int:
-        """Returns the place in `textures` of ``textures[index]`` of the file."""
+        """Returns the place in `textures()` of ``textures[index]`` of the file."""
         container = self._container
         record = container.item("textures", index, user)
         where = f"textures[{index}]"
@@ -189,13 +214,9 @@ class _Library:
                 "drawn without"
             )
             return types.NO_TEXTURE
-        key, texels = self._image(record["source"], where)
-        wrap_u, wrap_v = self._wraps(record, where)
-        full_key = (*key, srgb, wrap_u, wrap_v)
-        if full_key not in self._indices:
-            self._indices[full_key] = len(self.textures)
-            self.textures.append(TextureSource(texels, srgb, wrap_u, wrap_v))
-        return self._indices[full_key]
+        key = self._image(record["source"], where)
+        use = (key, srgb, *self._wraps(record, where))
+        return self._indices.setdefault(use, len(self._indices))
 
     def _wraps(self, record: dict[str, Any], where: str) -> tuple[int, int]:
         if "sampler" not in record:
@@ -214,7 +235,8 @@ class _Library:
             wraps.append(_WRAPS[code])
         return wraps[0], wraps[1]
 
-    def _image(self, index: Any, user: str) -> tuple[tuple[str, Any], np.ndarray]:
+    def _image(self, index: Any, user: str) -> _Key:
+        """Has an image decoded, unless it is already; returns what it is known by."""
         container = self._container
         record = container.item("images", index, user)
         where = f"images[{index}]"
@@ -237,15 +259,15 @@ class _Library:
                 data = container.fetch(key[1], where)
             else:
                 data = bytes(container.view(key[1], where)[0])
-            self._images[key] = self._decode(data, where)
-        return key, self._images[key]
+            image = self._open(data, where)
+            self._images[key] = where, self._pool.submit(_rgba, image)
+        return key
 
-    def _decode(self, data: bytes, where: str) -> np.ndarray:
+    def _open(self, data: bytes, where: str) -> Image.Image:
+        """Opens an image whose size can be borne; its texels are not read yet."""
         container = self._container
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # sizes are checked below
-                image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+            image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
         except Exception as error:  # decoders raise whatever they like
             raise container.fail(_undecodable(where, error)) from None
         width, height = image.size
@@ -256,12 +278,7 @@ class _Library:
                 f"{MAX_IMAGE_TEXELS} of an image or the {MAX_TEXELS} of all images "
                 "together; scale the textures down"
             )
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                return _rgba(image)
-        except Exception as error:
-            raise container.fail(_undecodable(where, error)) from None
+        return image
 
 
 def _undecodable(where: str, error: Exception) -> str:
