@@ -3,7 +3,7 @@
 glibc's allocator keeps freed pieces for later. XLA's compiler and the readers of scenes
 leave hundreds of megabytes of them, beside which a frame then needs its own: at
 1920×1080 on Sponza the peak is 0.7 GB lower when they are given back, and another
-0.2 GB when buffers as large as a plane of such an image are never kept.
+0.15 GB when buffers as large as a plane of such an image are never kept.
 """
 
 import ctypes

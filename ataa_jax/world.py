@@ -196,13 +196,20 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
+    source = read(path, size)
+    return prepare(source, camera=camera, size=size, backend=backend, wish=wish)
+
+
+def read(path: str | Path, size: tuple[int, int] | None = None) -> SceneSource:
+    """Reads a scene without making it ready to render; see `load`.
+
+    Args:
+        path: as `load` takes it.
+        size: image (height, width) that will be rendered; memory is kept low for a
+            large one, see `memory.return_planes`.
+    """
     if size is not None:
         memory.return_planes(size)
-    return prepare(read(path), camera=camera, size=size, backend=backend, wish=wish)
-
-
-def read(path: str | Path) -> SceneSource:
-    """Reads a scene without making it ready to render; see `load`."""
     if not str(path):
         raise InputError("the scene's name is empty; give a file, or 'builtin'")
     if str(path) == BUILTIN:

@@ -205,7 +205,7 @@ def _rendered(
 
     asked = planned.asked
     scene, _, camera = text.partition("@")
-    source = worlds.read(scene)
+    source = worlds.read(scene, planned.size)
     known = [each.name for each in source.cameras]
     path = paths.load(camera or "walk", asked.motion, known)
     world = worlds.prepare(source, camera=path.camera, size=planned.size)

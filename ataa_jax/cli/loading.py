@@ -14,13 +14,12 @@ def load(
     wish: "effects.Wish | None" = None,
 ) -> tuple["world.World", "paths.CameraPath"]:
     """Loads a scene, lit and exposed for the camera at which the path starts."""
-    from ataa_jax import memory, paths
+    from ataa_jax import paths
     from ataa_jax import world as worlds
 
     text = camera or "walk"
     paths.load(text, motion)  # so that a mistake is told before a long read
-    memory.return_planes(extent)
-    source = worlds.read(scene)
+    source = worlds.read(scene, extent)
     path = paths.load(text, motion, [known.name for known in source.cameras])
     return worlds.prepare(source, camera=path.camera, size=extent, wish=wish), path
 
