@@ -70,10 +70,24 @@ def content_hash(tree: Any) -> str:
 _known: dict[int, tuple[weakref.ref[jax.Array], bytes]] = {}
 
 
+def know(array: jax.Array, origin: bytes) -> None:
+    """Has an array hashed by what it was made of, which is less to read.
+
+    Args:
+        array: as it was made; how it lies in memory is no part of its hash.
+        origin: decides every element, and is the same wherever the array is made.
+    """
+    _keep_hash(array, hashlib.blake2b(origin, digest_size=32).digest())
+
+
+def _keep_hash(array: jax.Array, digest: bytes) -> None:
+    key = id(array)
+    _known[key] = weakref.ref(array, lambda _: _known.pop(key, None)), digest
+
+
 def _array_hash(leaf: Any) -> bytes:
     """Hashes one array; a large one of JAX's, which cannot change, only once."""
-    lasting = isinstance(leaf, jax.Array) and leaf.nbytes >= _LARGE_BYTES
-    held = _known.get(id(leaf)) if lasting else None
+    held = _known.get(id(leaf))
     if held is not None and held[0]() is leaf:
         return held[1]
     array = np.asarray(leaf)
@@ -81,9 +95,8 @@ def _array_hash(leaf: Any) -> bytes:
     digest = hashlib.sha256(f"{array.shape} {array.dtype}".encode())
     digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     found = digest.digest()
-    if lasting:
-        key = id(leaf)
-        _known[key] = weakref.ref(leaf, lambda _: _known.pop(key, None)), found
+    if isinstance(leaf, jax.Array) and leaf.nbytes >= _LARGE_BYTES:
+        _keep_hash(leaf, found)
     return found
 
 

@@ -27,6 +27,7 @@ def pack_mask(
     return method | (history << jnp.uint32(16))
 
 
+@jax.jit
 def unpack_mask(
     mask: UInt[Array, "h w"],
 ) -> tuple[UInt[Array, "h w"], UInt[Array, "h w"]]:

@@ -124,14 +124,25 @@ def init(size: tuple[int, int], history: Format = "float32") -> State:
     """
     return State(
         history=History(
-            color=jnp.zeros((*size, 3), history),
-            depth=jnp.full(size, jnp.inf, history),
-            motion=jnp.zeros((*size, 2), history),
-            count=jnp.zeros(size, history),
+            color=_filled((*size, 3), 0.0, history),
+            depth=_filled(size, np.inf, history),
+            motion=_filled((*size, 2), 0.0, history),
+            count=_filled(size, 0.0, history),
             valid=jnp.asarray(False),
         ),
-        classification=Classification(mask=jnp.zeros(size, jnp.uint32)),
+        classification=Classification(mask=_filled(size, 0.0, "uint32")),
     )
+
+
+def _filled(shape: tuple[int, ...], value: float, dtype: str) -> jax.Array:
+    """Does as `jnp.full`, which compiles a program for every shape."""
+    return jax.device_put(np.full(shape, value, jnp.dtype(dtype)))
+
+
+@jax.jit
+def _uncut(valid: Bool[Array, ""], cut: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Returns whether there is a history to read."""
+    return valid & ~cut
 
 
 def _pass(name: str, buffer: _Buffer) -> _Buffer:
@@ -175,7 +186,7 @@ def antialias(
     color, gbuffer = drawn.color, drawn.gbuffer
     size = config.raster.size
     state = eqx.tree_at(
-        lambda s: s.history.valid, state, state.history.valid & ~inputs.cut
+        lambda s: s.history.valid, state, _uncut(state.history.valid, inputs.cut)
     )
     with jax.named_scope("taa"):
         blended = observe(

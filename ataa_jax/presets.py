@@ -4,8 +4,10 @@
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -179,6 +181,7 @@ def raster_config(config: Config) -> RasterConfig:
     return replace(config.raster, second_motion=config.raster.second_motion or asked)
 
 
+@partial(jax.jit, static_argnames="config")
 def max_pixels(budget: Float[Array, ""], config: Config) -> Int[Array, ""]:
     """Returns how many pixels of a frame a ray budget pays for."""
     pixels = config.raster.size[0] * config.raster.size[1]

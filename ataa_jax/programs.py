@@ -20,6 +20,7 @@ import platformdirs
 KINDS = {
     "programs": "compiled programs",
     "reference": "supersampled references",
+    "pyramids": "mip levels of textures",
     "exposure": "brightness of views",
     "record": "recorded sequences, for fits",
     "fit": "steps of fits",

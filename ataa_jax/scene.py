@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ataa_jax import mipmap, types
+from ataa_jax import cache, mipmap, pyramids, types
 from ataa_jax.errors import InputError
 
 
@@ -24,6 +24,7 @@ class TextureSource:
     srgb: bool  # RGB is sRGB-encoded (base colour, emissive), alpha never is
     wrap_u: int = types.WRAP_REPEAT
     wrap_v: int = types.WRAP_REPEAT
+    pyramid: pyramids.Pyramid | None = None  # of the texels, where it is known already
 
 
 @dataclass(frozen=True)
@@ -234,6 +235,16 @@ def _put(values: Any, dtype: type[np.generic]) -> jax.Array:
     return jax.device_put(np.asarray(values, dtype))
 
 
+def _aligned(count: int) -> np.ndarray:
+    """Returns room for numbers, uint32 (count,), that JAX takes over without a copy.
+
+    On the CPU it does where an array begins at a multiple of 64 bytes.
+    """
+    room = np.empty(4 * count + 64, np.uint8)
+    first = -room.ctypes.data % 64
+    return room[first : first + 4 * count].view(np.uint32)
+
+
 def pack_lights(lights: list[LightSource]) -> types.Lights:
     """Packs lights; directions are normalized."""
 
@@ -366,7 +377,7 @@ def _pack_materials(
 
 
 def _pack_textures(sources: list[TextureSource]) -> types.Textures:
-    """Builds the mip pyramids on all cores and lays them out in one array."""
+    """Lays the mip pyramids out in one array; those not known are built, in threads."""
     sources = sources or [TextureSource(np.full((1, 1, 4), 255, np.uint8), srgb=False)]
     shapes = [mipmap.level_shapes(*s.texels.shape[:2]) for s in sources]
     levels = max(len(shape) for shape in shapes)
@@ -379,19 +390,24 @@ def _pack_textures(sources: list[TextureSource]) -> types.Textures:
     starts = ends - sizes
     last = np.minimum(np.arange(levels), counts[:, None] - 1)
     offset = np.take_along_axis(starts, last, axis=1).astype(np.int32)
-    flat = np.empty(int(ends[-1, -1]), np.uint32)
+    flat = _aligned(int(ends[-1, -1]))
 
     def fill(row: int) -> None:
         source = sources[row]
-        levels_of = mipmap.pyramid(source.texels, source.srgb)
-        for level, texels in enumerate(levels_of):
+        known = source.pyramid
+        made = known.levels if known else mipmap.pyramid(source.texels, source.srgb)
+        for level, texels in enumerate(made):
             first = starts[row, level]
             flat[first : first + texels.size] = texels.reshape(-1)
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(fill, range(len(sources))))
+    texels = _put(flat, np.uint32)
+    digests = [s.pyramid.digest for s in sources if s.pyramid]
+    if len(digests) == len(sources):
+        cache.know(texels, b"".join(digests))
     return types.Textures(
-        texels=_put(flat, np.uint32),
+        texels=texels,
         level_offset=_put(offset, np.int32),
         level_height=_put(height, np.int32),
         level_width=_put(width, np.int32),

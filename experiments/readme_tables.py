@@ -174,17 +174,10 @@ def fit() -> str:
 def cost() -> str:
     """What an SSIM costs by each way, in motion, under one directional light."""
     rows = []
-    table = read("accuracy_vs_time_read.csv")
-    told = [
-        row
-        for row in table
-        if (row["motion"], row["light"], row["size"]) == ("walk", "one", "640x360")
-    ]
     for name in NAMES:
-        own = {row["time"]: row for row in told if row["scene"] == name}
-        if not own:
+        if (found := _costs(name, "walk", "640x360")) is None:
             continue
-        clock, processor = own["clock"], own["processor"]
+        clock, processor = found
         rows.append(
             [
                 NAMES[name],
@@ -201,6 +194,42 @@ def cost() -> str:
     head = ["one light, moving", "SSIM of ATAA 8x", "its time", "SSAA needs"]
     head += ["Mitsuba 3 needs", "ATAA 8x over Mitsuba 8 spp", "SSAA 8x over it"]
     return markdown(head, rows)
+
+
+def other_costs() -> str:
+    """The same in short, for a camera at rest and for larger images."""
+    ways = (("still", "640x360"), ("walk", "1280x720"))
+    rows = []
+    for name in NAMES:
+        cells: list[str] = []
+        for motion, size in ways:
+            if (found := _costs(name, motion, size)) is None:
+                cells += ["–", "–", "–"]
+                continue
+            clock, processor = found
+            cells += [
+                f"{float(clock['ssim_ataa8']):.4f}, {float(clock['ataa8_ms']):.0f} ms",
+                _both(clock, processor, "ssaa", "samples"),
+                _both(clock, processor, "mitsuba", "spp"),
+            ]
+        rows.append([NAMES[name], *cells])
+    head = ["one light"]
+    for way in ("at rest", "moving, 1280×720"):
+        head += [f"{way}: ATAA 8x", "SSAA needs", "Mitsuba 3 needs"]
+    return markdown(head, rows)
+
+
+def _costs(
+    scene: str, motion: str, size: str
+) -> tuple[dict[str, str], dict[str, str]] | None:
+    """Returns what was read by the clock and by the processor's; None: not measured."""
+    own = {
+        row["time"]: row
+        for row in read("accuracy_vs_time_read.csv")
+        if (row["scene"], row["motion"], row["light"], row["size"])
+        == (scene, motion, "one", size)
+    }
+    return (own["clock"], own["processor"]) if own else None
 
 
 def _both(
@@ -225,6 +254,7 @@ def main() -> None:
         ("fit", fit()),
         ("hard", hard()),
         ("cost", cost()),
+        ("other costs", other_costs()),
     ):
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.escape(begin) + ".*?" + re.escape(end)

@@ -88,7 +88,7 @@ def test_textures_are_shared_unless_their_encoding_differs(tmp_path):
     assert found.base_color_texture == found.emissive_texture == 0
     assert found.metallic_roughness_texture == found.normal_texture == 1
     assert found.normal_scale == 0.5
-    assert scene.textures[0].texels is scene.textures[1].texels
+    np.testing.assert_array_equal(scene.textures[0].texels, scene.textures[1].texels)
 
 
 @pytest.mark.parametrize(

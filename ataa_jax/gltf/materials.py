@@ -1,6 +1,5 @@
 """Materials, samplers and images (glTF 2.0, sections 3.8 and 3.9)."""
 
-import io
 import math
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -8,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
-from ataa_jax import types
+from ataa_jax import pyramids, types
 from ataa_jax.gltf.container import Container, short
 from ataa_jax.scene import MaterialSource, TextureSource
 
@@ -50,7 +49,7 @@ class Materials:
 
 
 def read_materials(container: Container) -> Materials:
-    """Reads every material and decodes, on all cores, the images that they use."""
+    """Reads every material and, on all cores, the images that they use."""
     pool = ThreadPoolExecutor()
     try:
         with warnings.catch_warnings():
@@ -188,19 +187,21 @@ class _Library:
         self._container = container
         self._pool = pool
         self._indices: dict[_Use, int] = {}
-        self._images: dict[_Key, tuple[str, Future[np.ndarray]]] = {}
+        self._images: dict[_Key, tuple[str, bytes]] = {}
+        self._pyramids: dict[tuple[_Key, bool], Future[pyramids.Pyramid]] = {}
         self._texels = 0
 
     def textures(self) -> list[TextureSource]:
-        """Returns all that were asked for, once their images are decoded."""
+        """Returns all that were asked for, once their images are there."""
         found = []
         for key, srgb, wrap_u, wrap_v in self._indices:  # in the order of their places
-            where, image = self._images[key]
             try:
-                texels = image.result()
+                pyramid = self._pyramids[key, srgb].result()
             except Exception as error:  # decoders raise whatever they like
+                where, _ = self._images[key]
                 raise self._container.fail(_undecodable(where, error)) from None
-            found.append(TextureSource(texels, srgb, wrap_u, wrap_v))
+            texture = TextureSource(pyramid.texels, srgb, wrap_u, wrap_v, pyramid)
+            found.append(texture)
         return found
 
     def texture(self, index: Any, srgb: bool, user: str) -> int:
@@ -215,6 +216,9 @@ class _Library:
             )
             return types.NO_TEXTURE
         key = self._image(record["source"], where)
+        if (key, srgb) not in self._pyramids:
+            data = self._images[key][1]
+            self._pyramids[key, srgb] = self._pool.submit(pyramids.load, data, srgb)
         use = (key, srgb, *self._wraps(record, where))
         return self._indices.setdefault(use, len(self._indices))
 
@@ -236,7 +240,7 @@ class _Library:
         return wraps[0], wraps[1]
 
     def _image(self, index: Any, user: str) -> _Key:
-        """Has an image decoded, unless it is already; returns what it is known by."""
+        """Fetches an image, unless it is there; returns what it is known by."""
         container = self._container
         record = container.item("images", index, user)
         where = f"images[{index}]"
@@ -259,18 +263,17 @@ class _Library:
                 data = container.fetch(key[1], where)
             else:
                 data = bytes(container.view(key[1], where)[0])
-            image = self._open(data, where)
-            self._images[key] = where, self._pool.submit(_rgba, image)
+            self._check(data, where)
+            self._images[key] = where, data
         return key
 
-    def _open(self, data: bytes, where: str) -> Image.Image:
-        """Opens an image whose size can be borne; its texels are not read yet."""
+    def _check(self, data: bytes, where: str) -> None:
+        """Refuses what is no image, or too large a one; its texels are not read."""
         container = self._container
         try:
-            image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+            width, height = pyramids.open_image(data).size
         except Exception as error:  # decoders raise whatever they like
             raise container.fail(_undecodable(where, error)) from None
-        width, height = image.size
         self._texels += width * height
         if width * height > MAX_IMAGE_TEXELS or self._texels > MAX_TEXELS:
             raise container.fail(
@@ -278,12 +281,11 @@ class _Library:
                 f"{MAX_IMAGE_TEXELS} of an image or the {MAX_TEXELS} of all images "
                 "together; scale the textures down"
             )
-        return image
 
 
 def _undecodable(where: str, error: Exception) -> str:
     reason = str(error)
-    if isinstance(error, Image.UnidentifiedImageError):
+    if isinstance(error, UnidentifiedImageError):
         reason = "not recognized"  # Pillow's own words name a Python object
     elif isinstance(error, Image.DecompressionBombError):
         reason = f"larger than {MAX_IMAGE_TEXELS} texels"
@@ -291,13 +293,3 @@ def _undecodable(where: str, error: Exception) -> str:
         f"{where} is not a readable PNG or JPEG ({reason or type(error).__name__}); "
         "save the image again"
     )
-
-
-def _rgba(image: Image.Image) -> np.ndarray:
-    """Returns uint8 (height, width, 4); 16-bit grey rounds to 8 bits."""
-    if image.mode.startswith("I"):
-        grey = np.asarray(image).astype(np.int64)
-        grey = ((np.clip(grey, 0, 65535) + 128) // 257).astype(np.uint8)
-        opaque = np.full_like(grey, 255)
-        return np.stack([grey, grey, grey, opaque], axis=-1)
-    return np.array(image.convert("RGBA"))
