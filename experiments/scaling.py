@@ -34,6 +34,8 @@ import numpy as np
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+from ataa_jax import files
+
 RESULTS = Path(__file__).parent / "results"
 SIZE = (360, 640)
 PARTS: dict[str, tuple[int | float, ...]] = {
@@ -133,13 +135,14 @@ def measure(part: str, value: float) -> dict[str, float]:
     from ataa_jax.stopwatch import Stopwatch
 
     programs.keep()
+    by_rows = part == "pixels" or part.startswith("fits")
+    size = (int(value), int(value) * 16 // 9) if by_rows else SIZE
+    size = (180, 320) if part == "frames" else size
+    memory.return_planes(size)
     watch = Stopwatch()
     loaded = world(part, value)
     load_s = 1e-3 * watch.lap().clock_ms
     samples = int(part[4:]) if part.startswith("fits") else 8
-    by_rows = part == "pixels" or part.startswith("fits")
-    size = (int(value), int(value) * 16 // 9) if by_rows else SIZE
-    size = (180, 320) if part == "frames" else size
     shot = worlds.shot(loaded, "walk", size)
     budget = value if part == "traced" else pipeline.BUDGET
     config, params = pipeline.preset(
@@ -254,11 +257,8 @@ def main() -> None:
             told = {name: f"{number:.5g}" for name, number in found.items()}
             rows.append({"part": part, "size": value, **told})
             print(part, value, told, flush=True)
-    rows.sort(key=lambda row: list(PARTS).index(row["part"]))
-    with file.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        rows.sort(key=lambda row: list(PARTS).index(row["part"]))
+        files.write_csv(file, COLUMNS, [[row[c] for c in COLUMNS] for row in rows])
     for part in PARTS:
         own = [row for row in rows if row["part"] == part]
         if own:
