@@ -205,11 +205,11 @@ def read(path: str | Path, size: tuple[int, int] | None = None) -> SceneSource:
 
     Args:
         path: as `load` takes it.
-        size: image (height, width) that will be rendered; memory is kept low for a
-            large one, see `memory.return_planes`.
+        size: image (height, width) that will be rendered; the allocator is suited to
+            it, see `memory.suit`.
     """
     if size is not None:
-        memory.return_planes(size)
+        memory.suit(size)
     if not str(path):
         raise InputError("the scene's name is empty; give a file, or 'builtin'")
     if str(path) == BUILTIN:

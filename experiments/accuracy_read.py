@@ -170,7 +170,8 @@ def main() -> None:
     files.write_csv(RESULTS / "accuracy_vs_time_read.csv", READ, told)
     for cells in told:
         print("; ".join(f"{k} {v}" for k, v in zip(READ, cells, strict=True) if v))
-    draw(rows, "walk", "one", "640x360", RESULTS / "accuracy_vs_time.png")
+    for motion, file in (("walk", "accuracy_vs_time"), ("still", "accuracy_at_rest")):
+        draw(rows, motion, "one", "640x360", RESULTS / f"{file}.png")
     draw_stages(rows, "640x360", RESULTS / "accuracy_vs_time_stages.png")
 
 

@@ -32,7 +32,16 @@ import numpy as np
 import scenes
 
 from ataa_jax import color as colors
-from ataa_jax import competitor, files, fxaa, methods, metrics, pipeline, reference
+from ataa_jax import (
+    competitor,
+    files,
+    fxaa,
+    memory,
+    methods,
+    metrics,
+    pipeline,
+    reference,
+)
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.stopwatch import Lap, Stopwatch
@@ -221,6 +230,7 @@ def main() -> None:
     parser.add_argument("--references", action="store_true")
     given = parser.parse_args()
     width, height = (int(part) for part in given.size.split("x"))
+    memory.suit((height, width))
     file = RESULTS / "accuracy_vs_time.csv"
     for name in given.names or scenes.available():
         loaded = scenes.load(name)

@@ -138,7 +138,7 @@ def measure(part: str, value: float) -> dict[str, float]:
     by_rows = part == "pixels" or part.startswith("fits")
     size = (int(value), int(value) * 16 // 9) if by_rows else SIZE
     size = (180, 320) if part == "frames" else size
-    memory.return_planes(size)
+    memory.suit(size)
     watch = Stopwatch()
     loaded = world(part, value)
     load_s = 1e-3 * watch.lap().clock_ms

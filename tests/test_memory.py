@@ -45,30 +45,40 @@ print(before - resident())
 @pytest.mark.skipif(
     not hasattr(ctypes.CDLL(None), "mallopt"), reason="another libc than glibc"
 )
-def test_planes_of_large_images_go_back_to_the_system():
-    # Once a larger buffer was freed, glibc would keep this one, with one above it held.
+def test_the_allocator_suits_the_size_of_the_images():
+    """Of a piece over 32 MB, and of planes once a larger buffer was freed."""
     words = """
 import sys
 import numpy as np, psutil
 from ataa_jax import memory
 def resident(): return psutil.Process().memory_info().rss >> 20
-if sys.argv[1] == "large": memory.return_planes((1080, 1920))
-if sys.argv[1] == "small": memory.return_planes((360, 640))
+for size in sys.argv[1:]: memory.suit(tuple(map(int, size.split("x"))))
+piece = np.ones(60 << 20, np.uint8)
+before = resident()
+del piece
+told = [before - resident()]
 taught = np.ones(30 << 20, np.uint8)
 del taught
 planes = [np.ones(6 << 20, np.uint8) for _ in range(20)]
 held = np.ones(1 << 20, np.uint8)
 before = resident()
 planes.clear()
-print(before - resident())
+print(*told, before - resident())
 """
 
-    def returned(size: str) -> int:
+    def returned(*sizes: str) -> tuple[int, int]:
         child = subprocess.run(
-            [sys.executable, "-c", words, size],
+            [sys.executable, "-c", words, *sizes],
             capture_output=True, text=True, check=True,
         )  # fmt: skip
-        return int(child.stdout)
+        piece, planes = map(int, child.stdout.split())
+        return piece, planes
 
-    assert returned("large") > 110  # of 120 MB
-    assert returned("small") < 60
+    for sizes in (["1080x1920"], ["720x1280", "1080x1920"]):
+        piece, planes = returned(*sizes)
+        assert piece > 55  # of 60 MB
+        assert planes > 110  # of 120 MB
+    piece, planes = returned("360x640")
+    assert piece > 55
+    assert planes < 60
+    assert max(returned("720x1280")) < 5
