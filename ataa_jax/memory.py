@@ -72,10 +72,10 @@ def suit(size: tuple[int, int]) -> None:
 
     What a stage's program needs beside its results lies in one piece. glibc keeps it
     for the next frame up to 32 MB, enough for 640×360; a larger one it takes from the
-    system every time, and gives back. For images under 1920×1080 it is told to keep all:
-    at 1280×720 that saves 35,000 page faults a frame, 8 % of its time on the ship and
-    16 % on Sponza. For larger ones it is told to give back every plane as soon as it is
-    freed. Both hold for the process, until another size is named.
+    system every time, and gives back. For images under 1920×1080 it is told to keep
+    all: at 1280×720 that saves 35,000 page faults a frame, 8 % of its time on the ship
+    and 16 % on Sponza. For larger ones it is told to give back every plane as soon as
+    it is freed. Both hold for the process, until another size is named.
 
     Args:
         size: image (height, width).
