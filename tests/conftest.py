@@ -12,6 +12,8 @@ os.environ["ATAA_TESTS_PROGRAMS"] = os.environ.get(
     "ATAA_TESTS_PROGRAMS"
 ) or tempfile.mkdtemp(prefix="ataa-tests-")
 os.environ["JAX_COMPILATION_CACHE_DIR"] = os.environ["ATAA_TESTS_PROGRAMS"]
+# Nor do tests fill the user's cache, or find anything there.
+os.environ["ATAA_CACHE"] = os.environ["ATAA_TESTS_PROGRAMS"] + "/cache"
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 
 import hypothesis
