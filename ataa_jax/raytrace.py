@@ -35,8 +35,8 @@ class Config:
     """Choices that change the program."""
 
     samples: int = 8  # rays a traced pixel: 2, 4 or 8 (paper, section 3)
-    # our choice: as many rays as the raster stage's bands have pixels. An unused tail
-    # costs next to nothing, for only what hits is shaded.
+    # Traced pixels at a time, at most; see `_chunk`. our choice: as many rays as the
+    # raster stage's bands have pixels.
     chunk: int = 1 << 14
     average: colors.Average = "tonemap"
     # our choice: nearer to the reference than mip level 0 in all of twelve settings
@@ -117,12 +117,26 @@ def raytrace(
         return image, jax.tree.map(jnp.add, rays, cast)
 
     start = jnp.zeros((pixels, 3), jnp.float32), shading.no_rays(scene.lights)
-    image, rays = compact.for_each_chunk(traced, config.chunk, work, start)
+    chunk = _chunk(pixels, config)
+    image, rays = compact.for_each_chunk(traced, chunk, work, start)
     return RaytraceOutput(
         color=image.reshape(*size, 3),
         primary_rays=jnp.sum(traced, dtype=jnp.int32) * config.samples,
         rays=rays,
     )
+
+
+def _chunk(pixels: int, config: Config) -> int:
+    """Returns how many traced pixels make a chunk.
+
+    our choice: a sixteenth of the image, a little more than the paper's 6 %, in equal
+    parts where that is too many. What a chunk has to spare costs little where only hits
+    are shaded, but not in small images: at 160×90 the stage took twice as long with
+    chunks of 2^14; at 640×360, 3 to 5 % longer.
+    """
+    share = -(-pixels // 16)
+    parts = -(-share // config.chunk)
+    return -(-share // parts)
 
 
 def _steps(
