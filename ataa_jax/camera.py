@@ -21,6 +21,7 @@ _MIN_DEPTH_RATIO = 2.0**-20
 def make(world_from_view: np.ndarray, fov_y: float) -> Camera:
     """Builds a `Camera` from a rigid matrix and a vertical field of view in radians."""
     return Camera(
+        # JAX would compile a program to convert float64.
         world_from_view=jnp.asarray(np.asarray(world_from_view, np.float32)),
         tan_half_fov_y=jnp.asarray(np.tan(fov_y / 2.0), jnp.float32),
     )
