@@ -10,8 +10,9 @@ what else a machine does (they are given beside). One thing varies at a time:
 - textures: the terrain cut into strips with a material and a texture of 512×512 each;
 - traced: the built-in scene with budgets of 1/16 to 8 rays a pixel, 640×360;
 - frames: the time of 30 to 300 frames of the built-in scene together, 320×180;
-- fits: ATAA 8x, 4x and 2x at the default threshold and small sizes, to tell by the
-  clock which fit into the paper's 33 ms and 16 ms here.
+- fits: ATAA 8x, 4x and 2x with rays for the same pixels (budgets of 1/2, 1/4 and 1/8
+  rays a pixel), each frame one program, 60 frames, to tell by the clock which sizes fit
+  into the paper's 33 ms and 16 ms here.
 
 An exponent is the slope of log time over log size by least squares; "last" is that of
 the last two points alone, where what does not grow weighs least.
@@ -45,18 +46,16 @@ PARTS: dict[str, tuple[int | float, ...]] = {
     "textures": (1, 4, 16, 64),
     "traced": (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0),  # rays a pixel
     "frames": (30, 100, 300),
-    "fits8": (36, 54, 72, 90, 108, 126, 144),  # rows
-    "fits4": (36, 54, 72, 90, 108, 126, 144),
-    "fits2": (36, 54, 72, 90, 108, 126, 144),
+    "fits8": (18, 27, 36, 54, 72, 90, 108, 126, 144),  # rows
+    "fits4": (18, 27, 36, 54, 72, 90, 108, 126, 144),
+    "fits2": (18, 27, 36, 54, 72, 90, 108, 126, 144),
 }
 DRAWN = ("pixels", "triangles", "lights", "textures", "traced", "frames")
 LIMITS_MS = (33.0, 16.0)  # paper, section 1: 30 and 60 frames a second
 REPEATS = 7
 STAGES = ("raster", "taa", "segmentation", "raytrace", "resolve", "fxaa")
-COLUMNS = (
-    *("part", "size", "load_s", "peak_gb", "frame_ms", "frame_cpu_ms"),
-    *(f"{stage}_cpu_ms" for stage in STAGES),
-)
+STAGED = tuple(f"{stage}_cpu_ms" for stage in STAGES)
+COLUMNS = (*("part", "size", "load_s", "peak_gb", "frame_ms", "frame_cpu_ms"), *STAGED)
 
 
 def terrain(triangles: int, strips: int = 1) -> Any:
@@ -128,8 +127,6 @@ def world(part: str, value: float) -> Any:
 
 def measure(part: str, value: float) -> dict[str, float]:
     """Measures one point, in this process."""
-    import jax
-
     from ataa_jax import memory, pipeline, programs, sampling
     from ataa_jax import world as worlds
     from ataa_jax.stopwatch import Stopwatch
@@ -144,7 +141,7 @@ def measure(part: str, value: float) -> dict[str, float]:
     load_s = 1e-3 * watch.lap().clock_ms
     samples = int(part[4:]) if part.startswith("fits") else 8
     shot = worlds.shot(loaded, "walk", size)
-    budget = value if part == "traced" else pipeline.BUDGET
+    budget = value if part == "traced" else pipeline.BUDGET * samples / 8
     config, params = pipeline.preset(
         "tuned", loaded.scene, size, samples=samples, budget=budget,
         selection=shot.effects,
@@ -155,41 +152,71 @@ def measure(part: str, value: float) -> dict[str, float]:
     offsets = sampling.halton_jitter(
         config.taa.jitter_length, centred=config.taa.jitter_centred
     )
+    run = once if part.startswith("fits") else by_stages
+    state = pipeline.init(size, config.resolve.history)
     times: dict[str, list[float]] = {}
+    frames = 60 if part.startswith("fits") else REPEATS
+    frames = int(value) if part == "frames" else frames
+    for frame in range(-3, frames):
+        inputs = shot.inputs(max(frame, 0) % 60, offsets[frame % len(offsets)])
+        state, told = run(state, inputs, params, loaded, config)
+        for column, each in told.items():
+            times.setdefault(column, []).append(each)
+    fold: Callable[[Any], Any] = np.sum if part == "frames" else np.median
+    found = {column: float(fold(each[3:])) for column, each in times.items()}
+    return {"load_s": load_s, "peak_gb": memory.peak() / 1e9, **found}
+
+
+def once(
+    state: Any, inputs: Any, params: Any, loaded: Any, config: Any
+) -> tuple[Any, dict[str, float]]:
+    """Times a frame as one program."""
+    import jax
+
+    from ataa_jax import pipeline
+    from ataa_jax.stopwatch import Stopwatch
+
+    watch = Stopwatch()
+    _, state = jax.block_until_ready(
+        pipeline.frame(
+            state, inputs, params, scene=loaded.scene, tracer=loaded.tracer,
+            config=config,
+        )
+    )  # fmt: skip
+    lap = watch.lap()
+    return state, {"frame_ms": lap.clock_ms, "frame_cpu_ms": lap.processor_ms}
+
+
+def by_stages(
+    state: Any, inputs: Any, params: Any, loaded: Any, config: Any
+) -> tuple[Any, dict[str, float]]:
+    """Times a frame and its stages."""
+    import jax
+
+    from ataa_jax import pipeline
+    from ataa_jax.stopwatch import Stopwatch
+
+    watch, told = Stopwatch(), {}
 
     def observe(stage: str, buffers: Any) -> Any:
         jax.block_until_ready(buffers)
-        times.setdefault(stage, []).append(watch.lap().processor_ms)
+        told[f"{stage}_cpu_ms"] = watch.lap().processor_ms
         watch.start()
         return buffers
 
-    state = pipeline.init(size, config.resolve.history)
-    whole = []
-    frames = int(value) if part == "frames" else REPEATS
-    for frame in range(-3, frames):
-        inputs = shot.inputs(max(frame, 0) % 60, offsets[frame % len(offsets)])
-        frame_watch = Stopwatch()
-        watch.start()
-        output, state = pipeline.stages(
-            state, inputs, params, scene=loaded.scene, tracer=loaded.tracer,
-            config=config, observe=observe,
-        )  # fmt: skip
-        whole.append(frame_watch.lap().clock_ms)
-        del output
-    fold: Callable[[Any], Any] = np.sum if part == "frames" else np.median
-    stages = {stage: float(fold(each[3:])) for stage, each in times.items()}
-    return {
-        "load_s": load_s,
-        "peak_gb": memory.peak() / 1e9,
-        "frame_ms": float(fold(whole[3:])),
-        "frame_cpu_ms": sum(stages.values()),
-        **{f"{stage}_cpu_ms": stages[stage] for stage in STAGES},
-    }
+    whole = Stopwatch()
+    watch.start()
+    _, state = pipeline.stages(
+        state, inputs, params, scene=loaded.scene, tracer=loaded.tracer,
+        config=config, observe=observe,
+    )  # fmt: skip
+    clock = whole.lap().clock_ms
+    return state, {"frame_ms": clock, "frame_cpu_ms": sum(told.values()), **told}
 
 
 def exponents(rows: list[dict[str, Any]], column: str) -> tuple[float, float]:
     """Returns the slope over all points, and over the last two."""
-    told = [row for row in rows if float(row["size"]) > 0 and float(row[column]) > 0]
+    told = [row for row in rows if float(row["size"]) > 0 and row[column]]
     x = np.log([_grown(row) for row in told])
     y = np.log([float(row[column]) for row in told])
     last = (y[-1] - y[-2]) / (x[-1] - x[-2])
@@ -255,14 +282,16 @@ def main() -> None:
             with ProcessPoolExecutor(1, mp_context=context) as pool:
                 found = pool.submit(measure, part, value).result()
             told = {name: f"{number:.5g}" for name, number in found.items()}
-            rows.append({"part": part, "size": value, **told})
+            rows.append(
+                {"part": part, "size": value, **dict.fromkeys(STAGED, ""), **told}
+            )
             print(part, value, told, flush=True)
         rows.sort(key=lambda row: list(PARTS).index(row["part"]))
         files.write_csv(file, COLUMNS, [[row[c] for c in COLUMNS] for row in rows])
     for part in PARTS:
         own = [row for row in rows if row["part"] == part]
         if own:
-            for column in COLUMNS[3:]:
+            for column in (name for name in COLUMNS[3:] if own[0][name]):
                 slope, last = exponents(own, column)
                 print(f"{part} {column}: exponent {slope:.2f}, last {last:.2f}")
     print(*fitting(rows), sep="\n")
