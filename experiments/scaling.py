@@ -34,6 +34,7 @@ import numpy as np
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.ticker import NullFormatter
 
 from ataa_jax import files
 
@@ -223,6 +224,16 @@ def exponents(rows: list[dict[str, Any]], column: str) -> tuple[float, float]:
     return float(np.polyfit(x, y, 1)[0]), float(last)
 
 
+def line(rows: list[dict[str, Any]], column: str) -> str:
+    """Tells what remains of a cost at size 0 by least squares, time = a + b · size."""
+    x = np.array([float(row["size"]) for row in rows])
+    y = np.array([float(row[column]) for row in rows])
+    b, a = np.polyfit(x, y, 1)
+    r2 = 1.0 - np.sum((y - a - b * x) ** 2) / np.sum((y - y.mean()) ** 2)
+    share = a / y[np.argmax(x)]
+    return f"{a:.3g} ms + {b:.3g} ms · size, R² {r2:.3f}, a is {share:.1%} of the most"
+
+
 def _grown(row: dict[str, Any]) -> float:
     """Returns what grew: pixels for rows of an image, else the size itself."""
     size = float(row["size"])
@@ -250,7 +261,8 @@ def plot(rows: list[dict[str, Any]], file: Path) -> None:
         own = [row for row in rows if row["part"] == part]
         if not own:
             continue
-        x = [max(_grown(row), 0.5) for row in own]  # no lights: at the left end
+        x = [_grown(row) for row in own]
+        x = [each or 0.5 * min(filter(None, x)) for each in x]  # none: at the left end
         for column in COLUMNS[5:]:
             y = [float(row[column]) for row in own]
             label = column.removesuffix("_cpu_ms")
@@ -258,6 +270,7 @@ def plot(rows: list[dict[str, Any]], file: Path) -> None:
             axis.loglog(x, y, style, label=label, lw=2.5 if label == "frame" else 1)
         slope, last = exponents(own, "frame_cpu_ms")
         axis.set(title=f"{part}: exponent {slope:.2f}, last {last:.2f}", xlabel=part)
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(alpha=0.3, which="both")
     axes[0, 0].set_ylabel("processor time a frame, ms")
     axes[0, 0].legend(fontsize=7)
@@ -294,6 +307,9 @@ def main() -> None:
             for column in (name for name in COLUMNS[3:] if own[0][name]):
                 slope, last = exponents(own, column)
                 print(f"{part} {column}: exponent {slope:.2f}, last {last:.2f}")
+    traced = [row for row in rows if row["part"] == "traced"]
+    if traced:
+        print("traced raytrace_cpu_ms:", line(traced, "raytrace_cpu_ms"))
     print(*fitting(rows), sep="\n")
     plot(rows, RESULTS / "scaling.png")
 
