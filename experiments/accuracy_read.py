@@ -13,15 +13,13 @@ import itertools
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib as mpl
+import figures
 import numpy as np
 from accuracy_vs_time import KEY, MITSUBA, SSAA, STAGES
-
-from ataa_jax import files, pipeline
-
-mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib import ticker
+
+from ataa_jax import files, pipeline
 
 RESULTS = Path(__file__).parent / "results"
 CLOCKS = {"clock": "ms", "processor": "processor_ms"}
@@ -128,8 +126,7 @@ def draw(
     axes[0, 0].legend(fontsize=7)
     figure.suptitle(f"{motion}, {light} light, {size}, 2 CPU cores", fontsize=10)
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def draw_stages(rows: list[dict[str, str]], size: str, file: Path) -> None:
@@ -158,8 +155,7 @@ def draw_stages(rows: list[dict[str, str]], size: str, file: Path) -> None:
         axis.set(title=name, xlabel="ms a frame")
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def main() -> None:
@@ -172,6 +168,7 @@ def main() -> None:
         print("; ".join(f"{k} {v}" for k, v in zip(READ, cells, strict=True) if v))
     for motion, file in (("walk", "accuracy_vs_time"), ("still", "accuracy_at_rest")):
         draw(rows, motion, "one", "640x360", RESULTS / f"{file}.png")
+        draw(rows, motion, "one", "1280x720", RESULTS / f"{file}_720.png")
     draw_stages(rows, "640x360", RESULTS / "accuracy_vs_time_stages.png")
 
 

@@ -25,18 +25,16 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import figures
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import scenes
 import walks
+from matplotlib import pyplot as plt
 
 from ataa_jax import pipeline, raster, raytrace, resolve, segmentation, types
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 BUDGETS = (0.25, 0.5, 1.0)
@@ -187,8 +185,7 @@ def plot(table: list[tuple], file: Path) -> None:
             axis.grid(alpha=0.3)
     axes[0, 0].legend(title="rays a traced pixel")
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def settings() -> list[tuple[float, str, int | str]]:

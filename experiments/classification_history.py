@@ -22,17 +22,15 @@ alone.
 """
 
 import equinox as eqx
+import figures
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import playback
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import pipeline, types, window
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
@@ -148,8 +146,7 @@ def plot(table: list[_Row], names: list[str]) -> None:
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
     file = playback.RESULTS / "classification_history.png"
-    figure.savefig(file, dpi=100, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file, dpi=100)
 
 
 if __name__ == "__main__":

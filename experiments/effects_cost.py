@@ -24,17 +24,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import figures
 import jax
-import matplotlib as mpl
 import numpy as np
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import effects, files, pipeline, types
 from ataa_jax import world as worlds
 from ataa_jax.stopwatch import Lap, Stopwatch
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 REPEATS = 9
 RESULTS = Path(__file__).parent / "results"
@@ -151,8 +149,7 @@ def plot(rows: list[tuple[str, ...]], file: Path) -> None:
         axis.set_xlabel("processor time, all called for = 1", fontsize=8)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="upper left")
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
-    figure.savefig(file, dpi=100, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file, dpi=100)
 
 
 def main() -> None:

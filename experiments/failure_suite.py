@@ -27,8 +27,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import matplotlib as mpl
+import figures
 import numpy as np
+from matplotlib import pyplot as plt
 from PIL import Image
 
 from ataa_jax import color as colors
@@ -37,9 +38,6 @@ from ataa_jax import world as worlds
 from ataa_jax.builtin import failures
 from ataa_jax.report import mask_overlay
 from ataa_jax.report.picture import Sheet, fit
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SIZE = (180, 320)
 SAMPLES = 64
@@ -256,8 +254,7 @@ def plot(table: list[list[object]], file: Path) -> None:
     right.grid(axis="y", alpha=0.3)
     right.legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(file, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file, dpi=110)
 
 
 def sheet(results: list[Result], file: Path) -> None:

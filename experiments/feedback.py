@@ -16,16 +16,14 @@ that reads the history.
 
 from dataclasses import replace
 
-import matplotlib as mpl
+import figures
 import numpy as np
 import playback
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import pipeline, types
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
@@ -122,10 +120,7 @@ def plot(table: list[_Row], names: list[str]) -> None:
         axes[row, 0].set_ylabel("pixels traced, %")
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(
-        playback.RESULTS / "feedback.png", dpi=100, metadata={"Software": None}
-    )
-    plt.close(figure)
+    figures.save(figure, playback.RESULTS / "feedback.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -22,20 +22,18 @@ cost, and 13 to 15 % on the built-in scene at 640×360, where all of the screen 
 import argparse
 from dataclasses import dataclass, field
 
+import figures
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import playback
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import color as colors
 from ataa_jax import fxaa, pipeline
 from ataa_jax import world as worlds
 from ataa_jax.stopwatch import Lap, Stopwatch
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SIZES = ((360, 640), (720, 1280))
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
@@ -198,10 +196,7 @@ def plot(series: dict[tuple[str, str, str], list[Case]]) -> None:
         panel.grid(alpha=0.3)
     axes[0].legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(
-        playback.RESULTS / "fxaa_linear.png", dpi=100, metadata={"Software": None}
-    )
-    plt.close(figure)
+    figures.save(figure, playback.RESULTS / "fxaa_linear.png", dpi=100)
 
 
 if __name__ == "__main__":

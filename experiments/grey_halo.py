@@ -31,17 +31,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib as mpl
+import figures
 import numpy as np
 import scenes
 import walks
+from matplotlib import pyplot as plt
 from scipy.ndimage import uniform_filter
 
 from ataa_jax import metrics, pipeline, types
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 # What the rays read: `raytrace.Config.footprint`, and its scale.
@@ -147,8 +145,7 @@ def plot(table: list[tuple], file: Path) -> None:
         axis.grid(axis="y", alpha=0.3)
     axes[0, 0].legend()
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def main() -> None:

@@ -15,21 +15,19 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import figures
 import fit_thresholds
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import fit as fits
 from ataa_jax import pipeline, sampling
 from ataa_jax import world as worlds
 from ataa_jax.fit import relaxed, score, soft, space, yardsticks
 from ataa_jax.stopwatch import Lap, Stopwatch
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
@@ -149,7 +147,7 @@ def draw(rows: Sequence[tuple], file: Path) -> None:
         line[0].set_ylabel("SSIM")
     axes[0][0].legend()
     figure.tight_layout()
-    figure.savefig(file, dpi=100, metadata={"Software": None})
+    figures.save(figure, file, dpi=100)
 
 
 def main() -> None:

@@ -31,12 +31,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 import equinox as eqx
+import figures
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import playback
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import color as colors
 from ataa_jax import formats, pipeline, raster, raytrace, resolve, sampling, types
@@ -44,9 +45,6 @@ from ataa_jax import world as worlds
 from ataa_jax.fit import replay
 from ataa_jax.fit.recording import Recorded
 from ataa_jax.formats import Format
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SIZE, TIMED_SIZE = (90, 160), (1080, 1920)
 FRAMES = 1000
@@ -279,8 +277,7 @@ def plot(table: list[_Row], file: Path) -> None:
         axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def main() -> None:

@@ -14,16 +14,14 @@ mip level 0.
 
 from pathlib import Path
 
+import figures
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import scenes
+from matplotlib import pyplot as plt
 
 from ataa_jax import color as colors
 from ataa_jax import files, metrics, raytrace, reference
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SIZE, FRAME, SAMPLES = (180, 320), 10, 64
 SCALES = (0.0, 0.125, 0.25, 0.5, 1.0)
@@ -69,8 +67,7 @@ def plot(rows: list[tuple[str, ...]], file: Path) -> None:
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(file, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file, dpi=110)
 
 
 def main() -> None:

@@ -29,10 +29,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
+import figures
 import numpy as np
-
-mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.ticker import NullFormatter
 
@@ -275,8 +273,7 @@ def plot(rows: list[dict[str, Any]], file: Path) -> None:
     axes[0, 0].set_ylabel("processor time a frame, ms")
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def main() -> None:

@@ -31,19 +31,17 @@ surfaces' part of the gain is 16, 38 and 12 %.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import figures
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
 import playback
 import scenes
+from matplotlib import pyplot as plt
 from scipy import ndimage
 
 from ataa_jax import color as colors
 from ataa_jax import metrics, pipeline, reference, terms, types, window
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 SIZE = (180, 320)
@@ -217,8 +215,7 @@ def plot(table: list[_Row], names: list[str]) -> None:
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
     file = playback.RESULTS / "segment_borders.png"
-    figure.savefig(file, dpi=100, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file, dpi=100)
 
 
 if __name__ == "__main__":

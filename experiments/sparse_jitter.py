@@ -22,15 +22,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib as mpl
+import figures
 import scenes
 import walks
+from matplotlib import pyplot as plt
 
 from ataa_jax import resolve
 from ataa_jax import world as worlds
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SCENES = (worlds.BUILTIN, "sponza", "dutch_ship")
 COUNTS = (2, 4, 8)
@@ -95,8 +93,7 @@ def plot(table: list[tuple], file: Path) -> None:
         axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize=7)
     figure.tight_layout()
-    figure.savefig(file, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    figures.save(figure, file)
 
 
 def main() -> None:

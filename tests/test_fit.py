@@ -1,4 +1,4 @@
-"""The fit: threshold, relaxed loss, optimizers, file, resume, degenerate asks."""
+"""The fit: threshold, relaxed loss, file, command, degenerate asks."""
 
 import dataclasses
 import json
