@@ -1,8 +1,8 @@
 """The cache folder: arrays that are dear to make, by the content that decides them.
 
 A file is whole or not there, and one that is damaged or of another shape counts as not
-there. A key should hold `code_hash` of the modules that made the arrays, so that an old
-cache is never believed.
+there. A key should hold `code_hash` of the modules that made the arrays, and `computer`
+where their last bits depend on it, so that an old cache is never believed.
 """
 
 import hashlib
@@ -10,9 +10,9 @@ import inspect
 import os
 import tempfile
 import weakref
-import zipfile
 from collections.abc import Callable
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import IO, Any, TypeVar
@@ -20,10 +20,12 @@ from typing import IO, Any, TypeVar
 import jax
 import numpy as np
 
+from ataa_jax import programs
 from ataa_jax.programs import folder, prune
 
 __all__ = [
     "code_hash",
+    "computer",
     "content_hash",
     "folder",
     "package_hash",
@@ -31,9 +33,12 @@ __all__ = [
     "read_all",
     "store",
     "write",
+    "write_whole",
 ]
 
 Tree = TypeVar("Tree")
+
+_COMPUTING = ("jax", "jaxlib", "numpy", "embreex")
 
 _LARGE_BYTES = 1 << 20  # our choice: under it a hash takes a millisecond
 
@@ -57,6 +62,16 @@ def package_hash() -> str:
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
     return f"{digest.hexdigest()} jax {jax.__version__} numpy {np.__version__}"
+
+
+@cache
+def computer() -> str:
+    """Names what decides the last bits of a result besides the sources.
+
+    The versions of what computes, and the processor's vector instructions.
+    """
+    versions = " ".join(f"{name} {metadata.version(name)}" for name in _COMPUTING)
+    return f"{versions} {programs.vectors()}"
 
 
 def content_hash(tree: Any) -> str:
@@ -124,7 +139,7 @@ def read_all(file: Path) -> dict[str, np.ndarray] | None:
         # Opened here: numpy leaves a damaged file open.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except Exception:  # whatever a reader of damaged bytes stumbles over
         return None
 
 
@@ -160,18 +175,27 @@ def _put(
     file: Path, fill: Callable[[IO[bytes]], object], limit_bytes: int | None
 ) -> None:
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                fill(stream)
-            Path(name).replace(file)
-        finally:  # a full disk leaves no part of a file behind
-            Path(name).unlink(missing_ok=True)
+        write_whole(file, fill)
         if limit_bytes is not None:
             prune(file.parent, limit_bytes, "*.npz")
     except OSError:
         return
+
+
+def write_whole(file: Path, fill: Callable[[IO[bytes]], object]) -> None:
+    """Makes a file, and its folder, that is never there in part.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            fill(stream)
+        Path(name).replace(file)
+    finally:  # a full disk leaves no part of a file behind
+        Path(name).unlink(missing_ok=True)
 
 
 def _name(path: Any) -> str:

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax import core, export
+from jax._src import lru_cache
 
 from ataa_jax import cache, hostcall, programs
 
@@ -100,6 +101,7 @@ class Exported(Generic[P, R]):
         digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
         place = _beside()
         assert place is not None
+        _keep_whole()
         file = place / "traced" / f"{digest}.npz"
         found = _read(file)
         if found is None:
@@ -145,6 +147,25 @@ class Exported(Generic[P, R]):
             jax.jit(flat), platforms=["cpu"], disabled_checks=unstable
         )
         return lower(*leaves), results[0]
+
+
+@functools.cache
+def _keep_whole() -> None:
+    """Has JAX write its files as `cache` does.
+
+    JAX 0.10 writes in place: a process that is killed in it, or a full disk, leaves a
+    part behind that every later process stumbles over and none replaces.
+    """
+
+    def put(self: Any, key: str, value: bytes) -> None:
+        file = self.path / f"{key}{lru_cache._CACHE_SUFFIX}"
+        if self.eviction_enabled or not isinstance(file, Path):
+            in_place(self, key, value)
+        elif not file.exists():
+            cache.write_whole(file, lambda stream: stream.write(value))
+
+    in_place = lru_cache.LRUCache.put
+    lru_cache.LRUCache.put = put
 
 
 def _useful() -> bool:

@@ -122,11 +122,12 @@ def automatic(peak: np.ndarray) -> float:
 
 
 def code_hash() -> str:
-    """Hashes the sources that decide the colour of a ray."""
-    return cache.code_hash(
+    """Hashes the sources that decide the colour of a ray, and names what runs them."""
+    sources = cache.code_hash(
         *(camera, color, compact, embree, layers, material, raster, sampling, shading),
         *(surface, texture, transport, vector),
     )
+    return f"{sources} {cache.computer()} "
 
 
 def _key(

@@ -410,6 +410,7 @@ def job_key(shot: Source, command: str, options: Options) -> str:
             digest.update(f"{file} {stat.st_size} {stat.st_mtime_ns}".encode())
         return digest.hexdigest()
     digest.update(f"{shot.world.content_hash} {shot.path} {shot.effects}".encode())
+    digest.update(reference.thin_objects(shot.world.source).tobytes())
     digest.update(cache.content_hash(shot.inputs(0)).encode())
     return digest.hexdigest()
 

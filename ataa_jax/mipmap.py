@@ -7,8 +7,9 @@ weighted by alpha, so that the colour behind a hole does not bleed into its rim.
 
 from typing import no_type_check
 
-import numba
 import numpy as np
+
+from ataa_jax import loops
 
 _CODES = np.arange(256, dtype=np.float32) / np.float32(255.0)
 
@@ -78,7 +79,7 @@ def pyramid(texels: np.ndarray, srgb: bool) -> list[np.ndarray]:
     return levels
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@loops.compiled
 @no_type_check
 def _look_up(table, codes, values):  # noqa: ANN001, ANN202
     for y in range(values.shape[0]):
@@ -87,7 +88,7 @@ def _look_up(table, codes, values):  # noqa: ANN001, ANN202
                 values[y, x, k] = table[codes[y, x, k]]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@loops.compiled
 @no_type_check
 def _quarter(image, encode, smaller, codes):  # noqa: ANN001, ANN202 (as the caller's)
     """Does as `_halve` along both axes, of even size, and `_to_codes`, in one pass."""

@@ -12,6 +12,8 @@ import platform
 import shutil
 import stat
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import platformdirs
@@ -39,8 +41,8 @@ def contents() -> dict[str, tuple[int, int]]:
     """Returns the number of files and bytes of each of `KINDS`."""
     found = {}
     for kind in KINDS:
-        files = [f for f in (folder() / kind).rglob("*") if f.is_file()]
-        found[kind] = (len(files), sum(f.stat().st_size for f in files))
+        sizes = [state.st_size for _, state in _files(folder() / kind, "**/*")]
+        found[kind] = (len(sizes), sum(sizes))
     return found
 
 
@@ -49,6 +51,8 @@ def clear() -> None:
     for kind in KINDS:
         shutil.rmtree(folder() / kind, ignore_errors=True)
 
+
+_BEGAN, _DAY_S = time.time(), 24 * 3600.0  # our choice: a day, for what runs for weeks
 
 _kept = False
 
@@ -98,20 +102,40 @@ def processor_flags() -> str:
     return next((x for x in lines if x.startswith(("flags", "Features"))), "")
 
 
+# XLA and Embree choose vector instructions by these; others change no result.
+_VECTORS = ("avx", "fma", "sse", "amx", "asimd", "sve", "f16c")
+
+
+def vectors() -> str:
+    """Names the vector instructions, which decide the last bits of a result."""
+    listed = processor_flags().split() or [platform.processor()]
+    flags = {flag for flag in listed if flag.startswith(_VECTORS)} or set(listed)
+    return " ".join([platform.machine(), *sorted(flags)])
+
+
 def prune(place: Path, limit_bytes: int, pattern: str = "*") -> None:
-    """Removes the oldest files of a folder until the rest keeps to a limit."""
+    """Removes the oldest files of a folder until the rest keeps to a limit.
+
+    What was written since this process began, in the last day at most, stays: it may be
+    about to read that, and were it the oldest each time, would find nothing of it.
+    """
+    found = _files(place, pattern)
+    total = sum(state.st_size for _, state in found)
+    spared = max(_BEGAN, time.time() - _DAY_S)
+    for file, state in sorted(found, key=lambda each: each[1].st_mtime):
+        if total <= limit_bytes or state.st_mtime >= spared:
+            return
+        total -= state.st_size
+        with suppress(OSError):  # another's file, or another process removed it
+            file.unlink()
+
+
+def _files(place: Path, pattern: str) -> list[tuple[Path, os.stat_result]]:
+    """Returns the files of a folder, without those that another process removes."""
     found = []
     for file in place.glob(pattern):
-        try:  # another process may remove it too
+        with suppress(OSError):
             state = file.stat()
-        except OSError:
-            continue
-        if not stat.S_ISREG(state.st_mode):
-            continue
-        found.append((state.st_mtime, state.st_size, file))
-    total = sum(size for _, size, _ in found)
-    for _, size, file in sorted(found):
-        if total <= limit_bytes:
-            return
-        total -= size
-        file.unlink(missing_ok=True)
+            if stat.S_ISREG(state.st_mode):
+                found.append((file, state))
+    return found

@@ -167,7 +167,7 @@ def _like(size: tuple[int, int]) -> Supersampled:
 
 
 def code_hash() -> str:
-    """Hashes the sources that decide an image."""
+    """Hashes the sources that decide an image, and names what runs them."""
     return exposure.code_hash() + cache.code_hash(sys.modules[__name__])
 
 
@@ -179,8 +179,10 @@ def _content_key(
     average: str,
 ) -> str:
     digest = hashlib.blake2b(digest_size=20)
-    digest.update(f"{code_hash()} {size} {samples} {average}".encode())
+    choices = f"{code_hash()} {size} {samples} {average} {world.shading}"
+    digest.update(choices.encode())
     digest.update(world.content_hash.encode())
+    digest.update(thin_objects(world.source).tobytes())  # told from names
     for array in jax.tree.leaves((inputs.camera, inputs.world_from_group)):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

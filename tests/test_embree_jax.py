@@ -56,6 +56,26 @@ def test_tiles_and_hints_pass_through_jit():
     np.testing.assert_array_equal(plain.distance, tiled.distance)
 
 
+def test_of_two_owners_of_one_key_the_first_takes_nothing_away_from_the_second():
+    """Two threads may build the same scene at once."""
+
+    class Owner:
+        pass
+
+    key = -1  # of no scene: those are positive
+    first, second = Owner(), Owner()
+    embree.holding.hold(key, "first's", first)
+    embree.holding.hold(key, "second's", second)
+    del first
+    gc.collect()
+    embree.holding.sweep()
+    assert embree.holding.find(key) == "second's"
+    del second
+    gc.collect()
+    embree.holding.sweep()
+    assert embree.holding.find(key) is None
+
+
 def test_vmap_over_poses_traces_each():
     tracer = embree.build(garden(groups=3))
     origin, direction = rays(300)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax._src import lru_cache
 
 from ataa_jax import exported, pipeline, programs
 
@@ -151,3 +152,16 @@ def test_structures_come_back_and_only_of_the_package():
     described[1][0]["module"] = "os"
     with pytest.raises(ValueError, match="not of the package"):
         exported._rebuilt(described)
+
+
+def test_a_program_is_kept_whole_or_not_at_all(tmp_path):
+    """JAX's own way, which opens the file first, leaves an empty one behind here."""
+    exported._keep_whole()
+    kept = lru_cache.LRUCache(str(tmp_path), max_size=-1)
+    with pytest.raises(TypeError):
+        kept.put("half", None)
+    assert list(tmp_path.iterdir()) == []
+    kept.put("whole", b"program")
+    kept.put("whole", b"another")  # what is there, stays
+    assert kept.get("whole") == b"program"
+    assert len(list(tmp_path.iterdir())) == 1

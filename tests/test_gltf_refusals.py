@@ -1,13 +1,14 @@
 """What the glTF reader must refuse in one sentence."""
 
 import copy
+import errno
 import random
 import struct
 
 import numpy as np
 import pytest
 
-from ataa_jax import gltf
+from ataa_jax import gltf, pyramids
 from ataa_jax.errors import InputError
 from ataa_jax.gltf import materials as gltf_materials
 from tests.gltf_reading import load, refuse, textured
@@ -135,10 +136,34 @@ def test_images_beyond_the_limits(tmp_path, monkeypatch):
     writer = Writer()
     textured(writer)
     monkeypatch.setattr(gltf_materials, "MAX_IMAGE_TEXELS", 3)
-    refuse(writer.glb(tmp_path / "a.glb"), "2x2 texels", "scale the textures down")
+    refuse(writer.glb(tmp_path / "a.glb"), "2x2 texels", "scale it down")
     monkeypatch.setattr(gltf_materials, "MAX_IMAGE_TEXELS", 4)
     monkeypatch.setattr(gltf_materials, "MAX_TEXELS", 3)
-    refuse(writer.glb(tmp_path / "a.glb"), "2x2 texels", "scale the textures down")
+    refuse(writer.glb(tmp_path / "a.glb"), "2x2 texels", "scale the images down")
+
+
+def test_an_image_counts_as_often_as_it_is_packed(tmp_path, monkeypatch):
+    writer = Writer()
+    material = textured(writer)
+    monkeypatch.setattr(gltf_materials, "MAX_TEXELS", 4)
+    gltf.load(writer.glb(tmp_path / "a.glb"))
+    again = writer.add(
+        "textures", source=0, sampler=writer.add("samplers", wrapS=33071)
+    )
+    material["emissiveTexture"] = {"index": again}
+    refuse(writer.glb(tmp_path / "b.glb"), "2x2 texels", "scale the images down")
+
+
+def test_a_full_disk_is_not_laid_to_an_image(tmp_path, monkeypatch):
+    writer = Writer()
+    textured(writer)
+
+    def full(data, srgb):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pyramids, "load", full)
+    with pytest.raises(OSError, match="No space left"):
+        gltf.load(writer.glb(tmp_path / "a.glb"))
 
 
 def test_instances_beyond_the_limit(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,33 @@ def test_the_oldest_files_go_until_the_rest_keeps_to_the_limit(place):
     programs.prune(place, 250)
     assert sorted(f.name for f in place.iterdir()) == ["c", "d"]
     programs.prune(place / "missing", 0)
+
+
+def test_what_this_process_wrote_stays_whatever_the_limit(place, monkeypatch):
+    """A sequence that is larger than the limit would else find none of its frames."""
+    for age, name in enumerate("dcba"):
+        (place / name).write_bytes(bytes(100))
+        os.utime(place / name, (1000 - age, 1000 - age))
+    (place / "now").write_bytes(bytes(100))
+    programs.prune(place, 0)
+    assert [f.name for f in place.iterdir()] == ["now"]
+    later = time.time() + 25 * 3600  # of a process that runs for weeks
+    monkeypatch.setattr(time, "time", lambda: later)
+    programs.prune(place, 0)
+    assert list(place.iterdir()) == []
+
+
+def test_files_that_cannot_be_removed_stay_and_nothing_is_raised(place, monkeypatch):
+    """Of another user, or of an image that is read-only."""
+    (place / "a").write_bytes(bytes(100))
+    os.utime(place / "a", (1000, 1000))
+
+    def refuse(self, missing_ok=False):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    programs.prune(place, 50)
+    assert (place / "a").is_file()
 
 
 SCRIPT = """

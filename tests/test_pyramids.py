@@ -52,7 +52,9 @@ def test_what_is_kept_is_read(folder):
     np.testing.assert_array_equal(found.texels, other.texels)
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "another size"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "flipped", "empty", "another size", "method", "header"]
+)
 def test_what_is_damaged_is_made_anew(folder, damage):
     image = noise()
     pyramids.load(png(image), True)
@@ -65,6 +67,11 @@ def test_what_is_damaged_is_made_anew(folder, damage):
         file.write_bytes(
             whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
         )
+    elif damage == "method":  # how the archive's list says that it is packed
+        at = whole.rindex(b"PK\x01\x02") + 10
+        file.write_bytes(whole[:at] + b"\x63" + whole[at + 1 :])
+    elif damage == "header":  # of the array
+        file.write_bytes(whole.replace(b"{'descr'", b"{ descr'"))
     elif damage == "empty":
         file.write_bytes(b"")
     else:

@@ -1,5 +1,7 @@
 """Supersampling, its cache, and the metrics that compare with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,19 @@ def test_thin_coverage_marks_the_slats_and_nothing_else(shot):
     thin = np.asarray(found.thin)
     assert 0.0 < np.mean(thin > 0) < 0.5
     assert np.all((thin >= 0) & (thin <= 1))
+
+
+def test_another_name_is_another_reference(shot):
+    """What is thin is told from names, which no array of the world holds."""
+    source = shot.world.source
+    meshes = [replace(source.meshes[0], name="wire"), *source.meshes[1:]]
+    world = replace(shot.world, source=replace(source, meshes=meshes))
+    renamed = replace(shot, world=world)
+    assert world.content_hash == shot.world.content_hash
+    files = [reference.cache_file(each, 0, 4) for each in (shot, renamed)]
+    assert files[0] != files[1]
+    keys = [methods.job_key(each, "run", methods.Options()) for each in (shot, renamed)]
+    assert keys[0] != keys[1]
 
 
 def test_equal_images_score_perfectly():

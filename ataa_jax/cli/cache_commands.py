@@ -24,8 +24,12 @@ def show() -> None:
 @app.command()
 def clear() -> None:
     """Removes all of it; everything is made anew when it is needed."""
-    size = sum(size for _, size in programs.contents().values())
+    before = _bytes()
     programs.clear()
     Console(highlight=False, soft_wrap=True).print(
-        f"Removed {size / 2**20:,.1f} MB from {programs.folder()}"
+        f"Removed {(before - _bytes()) / 2**20:,.1f} MB from {programs.folder()}"
     )
+
+
+def _bytes() -> int:
+    return sum(size for _, size in programs.contents().values())

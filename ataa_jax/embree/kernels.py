@@ -17,12 +17,13 @@ over them could not be kept in numba's on-disk cache.
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types as nb
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from ataa_jax import loops
 
 CHUNK = 4096  # rays a call; fixed, so that no result depends on the thread count
 
@@ -35,10 +36,6 @@ _INF = np.float32(np.inf)
 # A missed ray's second direction: these shares of its largest component are added.
 # 16 ulps, 1/250 of a pixel at 1080p; of 9,154 leaks 1 ulp left 41, 4 one, 16 none.
 NUDGE = np.float32(np.finfo(np.float32).eps) * np.array([16.0, -9.6, 4.8], np.float32)
-
-# The test suite's import hook would wrap these functions before numba sees them;
-# `no_type_check` keeps it away.
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 @intrinsic
@@ -56,7 +53,7 @@ def _call(typing_context, function, valid, scene, packet, arguments):
     return nb.void(nb.int64, nb.int64, nb.int64, nb.int64, nb.int64), codegen
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def _aligned_rows(lanes):
     """Returns a zeroed float32 (_ROWS + 1, lanes) block that starts on 64 bytes."""
@@ -65,7 +62,7 @@ def _aligned_rows(lanes):
     return block[skip : skip + (_ROWS + 1) * lanes].reshape((_ROWS + 1, lanes))
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def tile_of(lanes):
     """Returns rows and columns of the tile of an image that makes a packet."""
@@ -73,7 +70,7 @@ def tile_of(lanes):
     return lanes // columns, columns
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def _ray_at(packet, lane, lanes, height, width):
     """Returns which ray lane `lane` of packet `packet` is of; −1: none.
@@ -90,7 +87,7 @@ def _ray_at(packet, lane, lanes, height, width):
     return row * width + column if row < height and column < width else -1
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def _fill(rows, bits, lane, ray, origin, direction, far):
     """Puts one ray into a lane; False, and nothing useful there, if it has no path."""
@@ -108,7 +105,7 @@ def _fill(rows, bits, lane, ray, origin, direction, far):
     return wild == 0 and largest > 0
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def _nudge(rows):
     """Turns the directions of all lanes by a few ulps."""
@@ -118,7 +115,7 @@ def _nudge(rows):
             rows[4 + axis, lane] += largest * NUDGE[axis]
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def intersect(
     function,  # address of rtcIntersect16, 8 or 4
@@ -181,7 +178,7 @@ def intersect(
                 filled = 0
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def occluded(
     function,  # address of rtcOccluded16, 8 or 4

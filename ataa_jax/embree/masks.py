@@ -26,13 +26,10 @@ from numba.core import cgutils
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-from ataa_jax import types
+from ataa_jax import loops, types
 
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
-
-# As in `kernels`: `no_type_check` keeps the test suite's import hook away.
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 class MaskTable(NamedTuple):
@@ -114,7 +111,7 @@ def _table(scene: types.Scene, triangles: np.ndarray) -> MaskTable:
     return MaskTable(corner, np.ascontiguousarray(texture), image, texels_8bit)
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def _wrap(index, size, mode):
     if mode == types.WRAP_CLAMP:
@@ -125,7 +122,7 @@ def _wrap(index, size, mode):
     return index % size
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def solid(corner, texture, image, alpha, row, b1, b2):
     """Returns whether a hit on masked triangle `row` is solid (module docstring)."""
@@ -152,7 +149,7 @@ def solid(corner, texture, image, alpha, row, b1, b2):
     return texel * corner[row, 6] >= corner[row, 7]
 
 
-@_compiled
+@loops.compiled
 @no_type_check
 def solid_many(corner, texture, image, alpha, row, b1, b2):
     """Returns `solid` for a batch of hits: row int (n,), b1 and b2 float32 (n,)."""
@@ -211,7 +208,7 @@ def _reject_holes(arguments):
 def _filter() -> CFunc:
     # Compiled when the first scene with masks is built, and kept: Embree calls it.
     signature = nb.void(nb.int64)
-    return numba.cfunc(signature, cache=True, error_model="numpy")(_reject_holes)
+    return loops.called_back(signature, _reject_holes)
 
 
 def filter_address() -> int:

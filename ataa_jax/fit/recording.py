@@ -253,7 +253,7 @@ def _drawing(config: pipeline.Config) -> raster.Config:
 
 
 def _code_hash() -> str:
-    """Hashes the sources that decide a record."""
+    """Hashes the sources that decide a record, and names what runs them."""
     return reference.code_hash() + cache.code_hash(*(raytrace, sys.modules[__name__]))
 
 

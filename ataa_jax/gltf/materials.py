@@ -14,7 +14,7 @@ from ataa_jax.gltf.container import Container, short
 from ataa_jax.scene import MaterialSource, TextureSource
 
 MAX_IMAGE_TEXELS = 1 << 26  # 8192 x 8192
-MAX_TEXELS = 1 << 29  # of all images together: 2 GiB as RGBA8
+MAX_TEXELS = 1 << 29  # of all textures together: 2 GiB as RGBA8
 
 _WRAPS = {
     10497: types.WRAP_REPEAT,
@@ -189,7 +189,8 @@ class _Library:
         self._indices: dict[_Use, int] = {}
         self._images: dict[_Key, tuple[str, bytes]] = {}
         self._pyramids: dict[tuple[_Key, bool], Future[pyramids.Pyramid]] = {}
-        self._texels = 0
+        self._sizes: dict[_Key, tuple[int, int]] = {}
+        self._texels = 0  # of all textures: an image may be read in several ways
 
     def textures(self) -> list[TextureSource]:
         """Returns all that were asked for, once their images are there."""
@@ -197,7 +198,11 @@ class _Library:
         for key, srgb, wrap_u, wrap_v in self._indices:  # in the order of their places
             try:
                 pyramid = self._pyramids[key, srgb].result()
+            except MemoryError:
+                raise
             except Exception as error:  # decoders raise whatever they like
+                if isinstance(error, OSError) and error.errno is not None:
+                    raise  # the system's: no decoder's
                 where, _ = self._images[key]
                 raise self._container.fail(_undecodable(where, error)) from None
             texture = TextureSource(pyramid.texels, srgb, wrap_u, wrap_v, pyramid)
@@ -220,6 +225,8 @@ class _Library:
             data = self._images[key][1]
             self._pyramids[key, srgb] = self._pool.submit(pyramids.load, data, srgb)
         use = (key, srgb, *self._wraps(record, where))
+        if use not in self._indices:
+            self._count(key)
         return self._indices.setdefault(use, len(self._indices))
 
     def _wraps(self, record: dict[str, Any], where: str) -> tuple[int, int]:
@@ -263,23 +270,32 @@ class _Library:
                 data = container.fetch(key[1], where)
             else:
                 data = bytes(container.view(key[1], where)[0])
-            self._check(data, where)
+            self._sizes[key] = self._check(data, where)
             self._images[key] = where, data
         return key
 
-    def _check(self, data: bytes, where: str) -> None:
+    def _check(self, data: bytes, where: str) -> tuple[int, int]:
         """Refuses what is no image, or too large a one; its texels are not read."""
         container = self._container
         try:
             width, height = pyramids.open_image(data).size
         except Exception as error:  # decoders raise whatever they like
             raise container.fail(_undecodable(where, error)) from None
-        self._texels += width * height
-        if width * height > MAX_IMAGE_TEXELS or self._texels > MAX_TEXELS:
+        if width * height > MAX_IMAGE_TEXELS:
             raise container.fail(
-                f"{where} is {width}x{height} texels, beyond the "
-                f"{MAX_IMAGE_TEXELS} of an image or the {MAX_TEXELS} of all images "
-                "together; scale the textures down"
+                f"{where} is {width}x{height} texels, beyond the {MAX_IMAGE_TEXELS} "
+                "of an image; scale it down"
+            )
+        return width, height
+
+    def _count(self, key: _Key) -> None:
+        """Counts an image's texels once more, and refuses too many."""
+        width, height = self._sizes[key]
+        self._texels += width * height
+        if self._texels > MAX_TEXELS:
+            raise self._container.fail(
+                f"{self._images[key][0]} is {width}x{height} texels, with which all "
+                f"textures together are beyond {MAX_TEXELS}; scale the images down"
             )
 
 

@@ -5,11 +5,10 @@ the cache is a hash of all that decides the frame, so a worker whose name for it
 the one that is asked for would render something else, and refuses.
 """
 
-import platform
 import socket
 import threading
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 from ataa_jax import cache as caches
@@ -19,9 +18,6 @@ from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.fit import recording
 from ataa_jax.world import Sequence
-
-# XLA and Embree choose vector instructions by these; others change no result.
-_VECTORS = ("avx", "fma", "sse", "amx", "asimd", "sve", "f16c")
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,7 @@ class View:
     wish: effects.Wish
     content_hash: str  # of the world
     code: str  # the package's sources, and the versions of what computes
-    processor: str  # see `processor`
+    processor: str  # see `programs.vectors`
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ def task(scene: str, shot: Sequence, what: References | Records, frames: range) 
             wish=shot.world.wish,
             content_hash=shot.world.content_hash,
             code=caches.package_hash(),
-            processor=processor(),
+            processor=programs.vectors(),
         ),
         what=what,
         frames=tuple(frames),
@@ -194,14 +190,6 @@ def receive(given: Task, files: dict[str, bytes]) -> None:
         caches.store(caches.folder() / name, files[name], given.what.limit_bytes)
 
 
-@cache
-def processor() -> str:
-    """Names what decides the last bits of a result: the vector instructions."""
-    listed = programs.processor_flags().split() or [platform.processor()]
-    flags = {flag for flag in listed if flag.startswith(_VECTORS)} or set(listed)
-    return " ".join([platform.machine(), *sorted(flags)])
-
-
 def _check_computer(wanted: View) -> None:
     """Refuses a view that was made by another program or another kind of machine."""
     if wanted.code != caches.package_hash():
@@ -209,7 +197,7 @@ def _check_computer(wanted: View) -> None:
             f"{_where()} another version of ataa_jax, JAX or NumPy is installed than "
             "here; install the same in both places"
         )
-    if wanted.processor != processor():
+    if wanted.processor != programs.vectors():
         raise InputError(
             f"{_where()} the processor is of another kind than here, and the last bits "
             "of results would differ; use workers of one kind"
