@@ -9,28 +9,38 @@ The test suite's import hook would wrap these functions before numba sees them:
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.ccallback import CFunc
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-# Divisions by 0 give what IEEE 754 says.
-_OPTIONS = {"error_model": "numpy"}
+T = TypeVar("T")
 
 
 def compiled(function: F) -> F:
-    """Compiles a function when it is called first; it runs without the interpreter."""
-    return _kept(lambda keep: numba.njit(**_OPTIONS, nogil=True, cache=keep)(function))
+    """Compiles a function when it is called first; it runs without the interpreter.
+
+    A division by 0 gives what IEEE 754 says.
+    """
+
+    def make(keep: bool) -> F:
+        made = numba.njit(cache=keep, nogil=True, error_model="numpy")(function)
+        return cast("F", made)
+
+    return _kept(make)
 
 
 def called_back(signature: Any, function: Callable[..., None]) -> CFunc:
     """Compiles a function at once, for C code to call by its address."""
-    return _kept(lambda keep: numba.cfunc(signature, **_OPTIONS, cache=keep)(function))
+
+    def make(keep: bool) -> CFunc:
+        return numba.cfunc(signature, cache=keep, error_model="numpy")(function)
+
+    return _kept(make)
 
 
-def _kept(make: Callable[[bool], Any]) -> Any:
+def _kept(make: Callable[[bool], T]) -> T:
     try:
         return make(True)
     except RuntimeError:  # numba's, where it finds no folder
