@@ -24,6 +24,7 @@ from ataa_jax import (
     programs,
     reference,
     sampling,
+    verify,
 )
 from ataa_jax import camera as cameras
 from ataa_jax import world as worlds
@@ -137,6 +138,23 @@ def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> list[Row]:
             name = f"peak memory at {size[1]}x{size[0]}, {start} start"
             rows.append((name, peak / 1e9, "GB"))
     return rows
+
+
+def agreement() -> list[Row]:
+    """Compares golden images: no time above may be bought with other pictures.
+
+    Returns:
+        For each golden sequence the share of pixels that differ by more than 1/255 and
+        of those that another method drew; 1 if all are within the tolerance, else 0.
+    """
+    found = verify.verify()
+    rows: list[Row] = []
+    for each in found:
+        rows.append((f"golden {each.name}, changed pixels", each.changed, ""))
+        rows.append((f"golden {each.name}, other method", each.other_method, ""))
+    most = f"1: changed ≤ {verify.CHANGED:g}, other method ≤ {verify.OTHER_METHOD:g}"
+    holds = all(each.holds for each in found)
+    return [*rows, ("golden images within the tolerance", float(holds), most)]
 
 
 def generation() -> Row:

@@ -1,6 +1,7 @@
 """The command line: what it writes, what it says, and how it refuses."""
 
 import csv
+import dataclasses
 import functools
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ataa_jax import bench, cli, effects, paths, world
+from ataa_jax import bench, cli, effects, paths, verify, world
 from ataa_jax.competitor import library
 from ataa_jax.errors import InputError
 from ataa_jax.methods import METHODS
@@ -185,6 +186,13 @@ def test_compare_writes_the_whole_report(scene, tmp_path, capsys):
     assert "ATAA 8x" in capsys.readouterr().out
 
 
+@pytest.fixture
+def one_golden(monkeypatch):
+    """For the others `test_verify` renders."""
+    monkeypatch.setattr(verify, "SEQUENCES", {"wires": "d"})
+
+
+@pytest.mark.usefixtures("one_golden")
 def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys):
     small = functools.partial(bench.peak_memory, size=(18, 32))
     monkeypatch.setattr(bench, "peak_memory", small)
@@ -196,9 +204,29 @@ def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys)
     assert rows["SSAA 8x frame"] > 0.0
     for start in ("first", "second"):  # GB; JAX alone takes 0.2
         assert 0.05 < rows[f"peak memory at 32x18, {start} start"] < 2.0
+    assert rows["golden wires, changed pixels"] <= verify.CHANGED
+    assert rows["golden images within the tolerance"] == 1.0
     assert "ATAA 8x frame" in capsys.readouterr().out
 
 
+def test_bench_fails_where_golden_images_have_changed(
+    scene, tmp_path, monkeypatch, capsys
+):
+    """A time that is bought with other pictures does not count."""
+    golden = verify.read("wires")
+    other = dataclasses.replace(golden, image=255 - golden.image)
+    changed = [verify.compare("wires", other, golden)]
+    monkeypatch.setattr(bench.verify, "verify", lambda: changed)
+    monkeypatch.setattr(bench, "run", lambda *_: [])
+    monkeypatch.setattr(bench, "peak_memory", lambda _: [])
+    out = tmp_path / "out"
+    assert ataa("bench", scene, "--size", "32x18", "--out", out) == 1
+    assert "see `ataa verify`" in capsys.readouterr().out
+    rows = {row["name"]: float(row["value"]) for row in read(out / "bench.csv")}
+    assert rows["golden images within the tolerance"] == 0.0
+
+
+@pytest.mark.usefixtures("one_golden")
 def test_bench_against_mitsuba_measures_both(scene, tmp_path, capsys):
     try:
         library.load()

@@ -249,7 +249,10 @@ def bench(
     out: given.Out = None,
     traceback: given.Traceback = False,
 ) -> None:
-    """Measures a scene: rays a second, stages of a frame, peak memory."""
+    """Measures a scene: rays a second, stages of a frame, peak memory.
+
+    Also whether the package still draws its golden images, as `ataa verify` does.
+    """
     extent = given.size_of(size)
     if against not in (None, "mitsuba"):
         raise InputError(f"--against takes 'mitsuba', not '{against}'")
@@ -264,9 +267,9 @@ def bench(
         with terminal.progress() as report:
             if against is not None:
                 library.load()  # so that a missing one is told before a long read
-            report("loading the scene", 0, 2)
+            report("loading the scene", 0, 3)
             loaded, _ = loading.load(scene, camera, None, extent)
-            report("measuring", 1, 2)
+            report("measuring", 1, 3)
             if against is not None:
                 rows = benchmark.against_mitsuba(loaded, extent, camera, rays)
             else:
@@ -274,11 +277,17 @@ def bench(
                 rows += benchmark.peak_memory(scene)
                 if scene == worlds.BUILTIN:
                     rows.append(benchmark.generation())
+            report("comparing golden images", 2, 3)
+            agreement = benchmark.agreement()
+            rows += agreement
         cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
         files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
     console = Console(soft_wrap=True, highlight=False)
     console.print(terminal.table(("Quantity", "Value", "Unit"), cells, right=(1,)))
     console.print(f"\nWrote {final / 'bench.csv'}", markup=False)
+    if not agreement[-1][1]:
+        console.print("The golden images are others here: see `ataa verify`.")
+        raise typer.Exit(FAILED)
 
 
 def _compare(
