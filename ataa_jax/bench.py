@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
 
 from ataa_jax import (
     builtin,
@@ -169,6 +170,10 @@ def generation() -> Row:
 
 def _peak_of_frames(scene: str, size: tuple[int, int], folder: str) -> int:
     os.environ["ATAA_CACHE"] = folder
+    # The asking process's choice, which this one inherits, is full of programs.
+    os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
+    jax.config.update("jax_compilation_cache_dir", None)
+    compilation_cache.reset_cache()
     programs.keep()
     world = worlds.load(scene, size=size)
     shot = worlds.shot(world, "walk", size)

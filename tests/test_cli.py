@@ -3,9 +3,11 @@
 import csv
 import dataclasses
 import functools
+import multiprocessing
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -207,6 +209,17 @@ def test_bench_measures_and_writes_a_table(scene, tmp_path, monkeypatch, capsys)
     assert rows["golden wires, changed pixels"] <= verify.CHANGED
     assert rows["golden images within the tolerance"] == 1.0
     assert "ATAA 8x frame" in capsys.readouterr().out
+
+
+def test_the_first_start_whose_peak_is_measured_compiles(scene, tmp_path, monkeypatch):
+    """Whatever the process that asks keeps its programs in."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "asking"))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        asked = (str(scene), (18, 32), str(tmp_path / "own"))
+        pool.submit(bench._peak_of_frames, *asked).result()
+    assert list((tmp_path / "own" / "programs").rglob("*-cache"))
+    assert not list((tmp_path / "asking").glob("jit_call-*"))  # what stages compile to
 
 
 def test_bench_fails_where_golden_images_have_changed(
