@@ -141,20 +141,18 @@ def peak_memory(scene: str, size: tuple[int, int] = (1080, 1920)) -> list[Row]:
     return rows
 
 
-def agreement() -> list[Row]:
-    """Compares golden images: no time above may be bought with other pictures.
+def agreement(golden: list[verify.Difference]) -> list[Row]:
+    """Returns how golden images compare: no time may be bought with other pictures.
 
-    Returns:
-        For each golden sequence the share of pixels that differ by more than 1/255 and
-        of those that another method drew; 1 if all are within the tolerance, else 0.
+    Of each sequence the share of pixels that differ by more than 1/255, and the share
+    that another method drew; last 1 if all are within the tolerance, else 0.
     """
-    found = verify.verify()
     rows: list[Row] = []
-    for each in found:
+    for each in golden:
         rows.append((f"golden {each.name}, changed pixels", each.changed, ""))
         rows.append((f"golden {each.name}, other method", each.other_method, ""))
     most = f"1: changed ≤ {verify.CHANGED:g}, other method ≤ {verify.OTHER_METHOD:g}"
-    holds = all(each.holds for each in found)
+    holds = all(each.holds for each in golden)
     return [*rows, ("golden images within the tolerance", float(holds), most)]
 
 

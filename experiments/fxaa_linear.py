@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import figures
 import jax
 import jax.numpy as jnp
+import lines
 import numpy as np
 import playback
 import scenes
@@ -128,13 +129,6 @@ def cases() -> list[Case]:
     return found
 
 
-def fit(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Returns (a, b, R²) of y = a + b x by least squares."""
-    b, a = np.polyfit(x, y, 1)
-    left = ((y - a - b * x) ** 2).sum()
-    return float(a), float(b), float(1.0 - left / ((y - y.mean()) ** 2).sum())
-
-
 def main() -> None:
     """Times everything and writes table and plot."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -156,9 +150,9 @@ def main() -> None:
         edges = np.array([float(c.edges) for c in members])
         medians, cpu = np.array([c.median() for c in members]).T
         least = np.array([min(lap.clock_ms for lap in c.laps) for c in members])
-        a, b, r2 = fit(pixels, cpu)
-        others = [fit(*pair)[2] for pair in ((edges, cpu), (pixels, medians))]
-        others.append(fit(pixels, least)[2])
+        a, b, r2 = lines.fit(pixels, cpu)
+        others = [lines.fit(*pair)[2] for pair in ((edges, cpu), (pixels, medians))]
+        others.append(lines.fit(pixels, least)[2])
         full = float(cpu[-1])
         print(*key, f"a {a:.2f} ms, b {1e6 * b:.1f} ns, full {full:.2f} ms", end=" ")
         print(f"a/full {a / full:.3f}, R² {r2:.4f}, of edges, median, least", *others)

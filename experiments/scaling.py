@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import figures
+import lines
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.ticker import NullFormatter
@@ -222,12 +223,11 @@ def exponents(rows: list[dict[str, Any]], column: str) -> tuple[float, float]:
     return float(np.polyfit(x, y, 1)[0]), float(last)
 
 
-def line(rows: list[dict[str, Any]], column: str) -> str:
-    """Tells what remains of a cost at size 0 by least squares, time = a + b · size."""
+def rest(rows: list[dict[str, Any]], column: str) -> str:
+    """Tells what remains of a cost at size 0."""
     x = np.array([float(row["size"]) for row in rows])
     y = np.array([float(row[column]) for row in rows])
-    b, a = np.polyfit(x, y, 1)
-    r2 = 1.0 - np.sum((y - a - b * x) ** 2) / np.sum((y - y.mean()) ** 2)
+    a, b, r2 = lines.fit(x, y)
     share = a / y[np.argmax(x)]
     return f"{a:.3g} ms + {b:.3g} ms · size, R² {r2:.3f}, a is {share:.1%} of the most"
 
@@ -306,7 +306,7 @@ def main() -> None:
                 print(f"{part} {column}: exponent {slope:.2f}, last {last:.2f}")
     traced = [row for row in rows if row["part"] == "traced"]
     if traced:
-        print("traced raytrace_cpu_ms:", line(traced, "raytrace_cpu_ms"))
+        print("traced raytrace_cpu_ms:", rest(traced, "raytrace_cpu_ms"))
     print(*fitting(rows), sep="\n")
     plot(rows, RESULTS / "scaling.png")
 

@@ -21,6 +21,7 @@ from typer.core import TyperGroup
 
 from ataa_jax import capture_commands, errors, programs
 from ataa_jax.cli import (
+    bench_command,
     cache_commands,
     fit_commands,
     given,
@@ -138,7 +139,7 @@ def run(
             f"--method of `ataa run` takes one method, not '{method}'; `ataa compare` "
             "takes several"
         )
-    place = out or Path("out") / f"{_stem(scene)}-{method}"
+    place = out or Path("out") / f"{loading.stem(scene)}-{method}"
     with _output(place, resume=True) as (folder, final):
         from ataa_jax import compare, film, methods
         from ataa_jax.journal import Journal
@@ -208,7 +209,7 @@ def compare_command(
         camera=camera,
         motion=motion,
         params=params,
-        out=out or Path("out") / _stem(scene),
+        out=out or Path("out") / loading.stem(scene),
         jobs=jobs,
         scheduler=scheduler,
         options={
@@ -235,59 +236,9 @@ def check(
 app.command(name="reference")(reference_command.reference)
 app.command(name="fit")(fit_commands.fit)
 app.command(name="export")(fit_commands.export)
+app.command(name="bench")(bench_command.bench)
 app.command(name="verify")(verify_command.verify)
 app.add_typer(cache_commands.app, name="cache")
-
-
-@app.command()
-def bench(
-    scene: given.Scene,
-    size: given.Size = "640x360",
-    camera: given.CameraOption = None,
-    budget: given.Budget = None,
-    against: given.Against = None,
-    out: given.Out = None,
-    traceback: given.Traceback = False,
-) -> None:
-    """Measures a scene: rays a second, stages of a frame, peak memory.
-
-    Also whether the package still draws its golden images, as `ataa verify` does.
-    """
-    extent = given.size_of(size)
-    if against not in (None, "mitsuba"):
-        raise InputError(f"--against takes 'mitsuba', not '{against}'")
-    place = out or Path("out") / f"{_stem(scene)}-bench"
-    with _output(place) as (folder, final):
-        from ataa_jax import bench as benchmark
-        from ataa_jax import files, pipeline
-        from ataa_jax import world as worlds
-        from ataa_jax.competitor import library
-
-        rays = pipeline.BUDGET if budget is None else budget
-        with terminal.progress() as report:
-            if against is not None:
-                library.load()  # so that a missing one is told before a long read
-            report("loading the scene", 0, 3)
-            loaded, _ = loading.load(scene, camera, None, extent)
-            report("measuring", 1, 3)
-            if against is not None:
-                rows = benchmark.against_mitsuba(loaded, extent, camera, rays)
-            else:
-                rows = benchmark.run(loaded, extent, camera, rays)
-                rows += benchmark.peak_memory(scene)
-                if scene == worlds.BUILTIN:
-                    rows.append(benchmark.generation())
-            report("comparing golden images", 2, 3)
-            agreement = benchmark.agreement()
-            rows += agreement
-        cells = [(name, f"{value:.6g}", unit) for name, value, unit in rows]
-        files.write_csv(folder / "bench.csv", ("name", "value", "unit"), cells)
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(terminal.table(("Quantity", "Value", "Unit"), cells, right=(1,)))
-    console.print(f"\nWrote {final / 'bench.csv'}", markup=False)
-    if not agreement[-1][1]:
-        console.print("The golden images are others here: see `ataa verify`.")
-        raise typer.Exit(FAILED)
 
 
 def _compare(
@@ -381,10 +332,6 @@ def _prepare(
             budget = float(options["params"].budget)
     options["budget"] = budget
     return worlds.sequence(loaded, path, extent), methods.Options(**options)
-
-
-def _stem(scene: str) -> str:
-    return Path(scene).stem or "scene"
 
 
 @contextmanager

@@ -1,9 +1,15 @@
 """Scenes as the commands are given them, loaded and bound to a camera path."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ataa_jax import effects, paths, world
+
+
+def stem(scene: str) -> str:
+    """Returns what a scene's results are named by."""
+    return Path(scene).stem or "scene"
 
 
 def load(
