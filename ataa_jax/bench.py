@@ -176,12 +176,13 @@ def _peak_of_frames(scene: str, size: tuple[int, int], folder: str) -> int:
     world = worlds.load(scene, size=size)
     shot = worlds.shot(world, "walk", size)
     config, params = pipeline.preset("tuned", world.scene, size, selection=shot.effects)
+    given: dict[str, Any] = {"scene": world.scene, "tracer": world.tracer}
+    pipeline.warm(shot.inputs(0), config=config, **given)
     state = pipeline.init(size, config.resolve.history)
     for frame in range(2):
         output, state = pipeline.stages(
-            state, shot.inputs(frame), params,
-            scene=world.scene, tracer=world.tracer, config=config,
-        )  # fmt: skip
+            state, shot.inputs(frame), params, config=config, **given
+        )
         jax.block_until_ready(output)
         del output
     return memory.peak()

@@ -67,6 +67,11 @@ def release_after_compiling() -> None:
     jax.monitoring.register_event_duration_secs_listener(heard)
 
 
+def scarce(size: tuple[int, int]) -> bool:
+    """Returns whether images of (height, width) take memory that counts."""
+    return size[0] * size[1] >= _LARGE_PIXELS
+
+
 def suit(size: tuple[int, int]) -> None:
     """Suits the allocator to images of a size; best called before a scene is read.
 
@@ -80,11 +85,10 @@ def suit(size: tuple[int, int]) -> None:
     Args:
         size: image (height, width).
     """
-    pixels = size[0] * size[1]
-    if pixels >= _LARGE_PIXELS:
+    if scarce(size):
         _libc("mallopt")(_MMAP_MAX, _MMAPS)
         _libc("mallopt")(_MMAP_THRESHOLD, 2 * _LARGE_PIXELS)
-    elif pixels > _SMALL_PIXELS:
+    elif size[0] * size[1] > _SMALL_PIXELS:
         _libc("mallopt")(_MMAP_MAX, 0)
         _libc("mallopt")(_TRIM_THRESHOLD, _NEVER)
 

@@ -20,9 +20,9 @@ from ataa_jax import (
     cache,
     effects,
     fxaa,
+    memory,
     pipeline,
     raster,
-    raytrace,
     reference,
     sampling,
     segmentation,
@@ -271,12 +271,11 @@ class _Adaptive(Runner):
     def warm(self, shot: Source) -> None:
         if self.samples and not isinstance(shot, Capture):
             world = shot.world
-            raytrace.raytrace(
-                world.scene,
-                pipeline.with_cut(shot.inputs(0, self.jitter[0]), False),
-                jnp.zeros(shot.size, jnp.bool_),
+            pipeline.warm(
+                shot.inputs(0, self.jitter[0]),
+                scene=world.scene,
                 tracer=world.tracer,
-                config=self.config.raytrace,
+                config=self.config,
             )
 
     def run(self, frame: int, drawer: Drawer) -> np.ndarray:
@@ -388,11 +387,14 @@ def warming(runners: Iterable[Runner], shot: Source) -> Iterator[None]:
     """Compiles in another thread what the runners will need, while they begin.
 
     XLA compiles a program mostly on one core; the frames on the way here take another.
+    Where memory is scarce, all is compiled before the first frame is there.
     """
     pool = ThreadPoolExecutor(1, thread_name_prefix="warm")
     try:
         for each in runners:
             each.warming = pool.submit(each.warm, shot)
+            if memory.scarce(shot.size):
+                each.ready()
         yield
     finally:
         pool.shutdown(cancel_futures=True)

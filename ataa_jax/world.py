@@ -196,8 +196,9 @@ def load(
     Raises:
         InputError: the file is missing, malformed or asks for what is not supported.
     """
-    source = read(path, size)
-    return prepare(source, camera=camera, size=size, backend=backend, wish=wish)
+    return prepare(
+        read(path, size), camera=camera, size=size, backend=backend, wish=wish
+    )
 
 
 def read(path: str | Path, size: tuple[int, int] | None = None) -> SceneSource:
@@ -232,6 +233,9 @@ def prepare(
     """Turns a scene description into a world; see `load`."""
     memory.release_after_compiling()
     packed, notes = scenes.pack(source)
+    source = replace(source, textures=[])  # in the packed scene they are, and smaller
+    if size is not None and memory.scarce(size):
+        memory.release()  # before XLA compiles, which takes half a gigabyte
     notes = [*source.warnings, *notes]
     tracer = embree.build(packed, backend=backend)
     all_cameras = source.cameras
@@ -270,10 +274,8 @@ def prepare(
         object_motion=source.duration > 0.0,
     )
     packed = eqx.tree_at(lambda s: s.sky.bounce, packed, jnp.asarray(brightness.bounce))
-    source = replace(source, textures=[])  # in the packed scene they are, and smaller
     world = replace(
         world,
-        source=source,
         scene=_exposed(packed, float(brightness.exposure)),
         lights=lights,
         exposure=float(brightness.exposure),

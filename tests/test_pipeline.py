@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ataa_jax import color, paths, pipeline, segmentation, taa, types
+from ataa_jax import color, paths, pipeline, raytrace, segmentation, taa, types
 from ataa_jax import world as worlds
 from ataa_jax.errors import InputError
 from ataa_jax.scene import (
@@ -218,6 +218,21 @@ def test_parameters_do_not_retrace(world):
     step(jax.tree.map(lambda x: x + jnp.ones((), x.dtype), params))
     step(pipeline.with_budget(params, 0.3))
     assert pipeline.frame._cache_size() == before
+
+
+def test_a_warm_pipeline_has_compiled_the_raytrace_stage_of_its_frames(world):
+    size = (20, 32)  # that no other test compiles
+    shot = worlds.sequence(world, paths.CameraPath(), size)
+    config, params = pipeline.preset("tuned", world.scene, size)
+    given = {"scene": world.scene, "tracer": world.tracer, "config": config}
+    start = raytrace.raytrace._cache_size()
+    pipeline.warm(shot.inputs(0), **given)
+    assert raytrace.raytrace._cache_size() == start + 1
+    state = pipeline.init(size)
+    for frame in range(2):
+        output, state = pipeline.stages(state, shot.inputs(frame), params, **given)
+    assert int(output.statistics.primary_rays) > 0
+    assert raytrace.raytrace._cache_size() == start + 1
 
 
 def test_a_still_unrectified_average_equals_the_mean_of_its_samples():

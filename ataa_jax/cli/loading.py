@@ -25,9 +25,11 @@ def load(
 
     text = camera or "walk"
     paths.load(text, motion)  # so that a mistake is told before a long read
-    source = worlds.read(scene, extent)
-    path = paths.load(text, motion, [known.name for known in source.cameras])
-    return worlds.prepare(source, camera=path.camera, size=extent, wish=wish), path
+    sources = [worlds.read(scene, extent)]
+    path = paths.load(text, motion, [known.name for known in sources[0].cameras])
+    # Popped: who keeps a source keeps its textures, which are packed by then.
+    world = worlds.prepare(sources.pop(), camera=path.camera, size=extent, wish=wish)
+    return world, path
 
 
 def wish(text: str | None) -> "effects.Wish | None":
