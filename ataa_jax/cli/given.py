@@ -97,7 +97,7 @@ Scheduler = Annotated[
         metavar="ADDRESS",
         help="A Dask scheduler, such as tcp://host:8786, whose workers do so instead: "
         "with the same ataa_jax, and the scene under the same name. Needs "
-        "'ataa-jax[dask]'.",
+        r"'ataa-jax\[dask]'.",  # the bracket escaped: it would be rich's markup
     ),
 ]
 Traceback = Annotated[
