@@ -149,7 +149,7 @@ def write(file: Path, tree: Any, limit_bytes: int | None = None) -> None:
     Args:
         file: an ``.npz``.
         tree: the arrays.
-        limit_bytes: of all ``.npz`` in its folder; the oldest go first. None: no limit.
+        limit_bytes: of all files in its folder; the oldest go first. None: no limit.
     """
     paths, _ = jax.tree_util.tree_flatten_with_path(tree)
     arrays = {_name(path): np.asarray(leaf) for path, leaf in paths}
@@ -166,7 +166,7 @@ def store(file: Path, data: bytes, limit_bytes: int) -> None:
     Args:
         file: an ``.npz``.
         data: all of it; `read` tells whether they are whole.
-        limit_bytes: of all ``.npz`` in its folder; the oldest go first.
+        limit_bytes: of all files in its folder; the oldest go first.
     """
     _put(file, lambda stream: stream.write(data), limit_bytes)
 
@@ -177,7 +177,7 @@ def _put(
     try:
         write_whole(file, fill)
         if limit_bytes is not None:
-            prune(file.parent, limit_bytes, "*.npz")
+            prune(file.parent, limit_bytes)
     except OSError:
         return
 

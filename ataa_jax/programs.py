@@ -113,13 +113,13 @@ def vectors() -> str:
     return " ".join([platform.machine(), *sorted(flags)])
 
 
-def prune(place: Path, limit_bytes: int, pattern: str = "*") -> None:
+def prune(place: Path, limit_bytes: int) -> None:
     """Removes the oldest files of a folder until the rest keeps to a limit.
 
     What was written since this process began, in the last day at most, stays: it may be
     about to read that, and were it the oldest each time, would find nothing of it.
     """
-    found = _files(place, pattern)
+    found = _files(place, "*")
     total = sum(state.st_size for _, state in found)
     spared = max(_BEGAN, time.time() - _DAY_S)
     for file, state in sorted(found, key=lambda each: each[1].st_mtime):

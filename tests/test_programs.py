@@ -6,9 +6,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from ataa_jax import programs
+from ataa_jax import cache, programs
 from ataa_jax.cli import main
 
 
@@ -61,6 +62,15 @@ def test_what_this_process_wrote_stays_whatever_the_limit(place, monkeypatch):
     monkeypatch.setattr(time, "time", lambda: later)
     programs.prune(place, 0)
     assert list(place.iterdir()) == []
+
+
+def test_parts_that_a_killed_process_left_count_and_go(place):
+    part = place / "fit" / "tmp1.part"
+    part.parent.mkdir()
+    part.write_bytes(bytes(1000))
+    os.utime(part, (1000, 1000))
+    cache.write(place / "fit" / "a.npz", np.zeros(3), limit_bytes=600)
+    assert [f.name for f in part.parent.iterdir()] == ["a.npz"]
 
 
 def test_files_that_cannot_be_removed_stay_and_nothing_is_raised(place, monkeypatch):
