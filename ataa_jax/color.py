@@ -158,8 +158,10 @@ def rgb(color: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 def srgb_encode(linear: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Encodes display-linear values by IEC 61966-2-1; below 0 gives 0, above 1 1."""
     linear = jnp.clip(linear, 0.0, 1.0)
-    # The power's argument stays clear of 0, where its slope is infinite.
-    powered = 1.055 * jnp.maximum(linear, _SRGB_LINEAR_END) ** (1.0 / 2.4) - 0.055
+    # The power's argument stays clear of 0, where its slope is infinite. XLA computes a
+    # power value by value on the CPU; these two are vectors, and as near (1.2e-7).
+    power = jnp.exp(jnp.log(jnp.maximum(linear, _SRGB_LINEAR_END)) * (1.0 / 2.4))
+    powered = 1.055 * power - 0.055
     return jnp.where(linear <= _SRGB_LINEAR_END, 12.92 * linear, powered)
 
 

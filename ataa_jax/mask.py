@@ -106,13 +106,22 @@ def _highest(
     key = jax.lax.bitcast_convert_type(jnp.where(score > 0.0, score, 0.0), jnp.int32)
     key = jnp.where(wants, key, -1)
 
-    def refine(step: Int[Array, ""] | int, cut: Int[Array, ""]) -> Int[Array, ""]:
-        higher = cut | jnp.left_shift(jnp.int32(1), 30 - step)
-        return jnp.where(
-            jnp.sum(key >= higher, dtype=jnp.int32) >= allowed, higher, cut
-        )
+    def searching(state: tuple[Array, Array, Array]) -> Bool[Array, ""]:
+        step, _, reached = state
+        # Where as many reach the cut as are allowed, its lower bits change nothing.
+        return (step < 31) & (reached != allowed)
 
-    cut = jax.lax.fori_loop(jnp.int32(0), jnp.int32(31), refine, jnp.int32(0))
+    def refine(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        step, cut, reached = state
+        higher = cut | jnp.left_shift(jnp.int32(1), 30 - step)
+        count = jnp.sum(key >= higher, dtype=jnp.int32)
+        enough = count >= allowed
+        cut, reached = jnp.where(enough, higher, cut), jnp.where(enough, count, reached)
+        return step + 1, cut, reached
+
+    every = jnp.sum(wants, dtype=jnp.int32)
+    start = jnp.int32(0), jnp.int32(0), every
+    _, cut, _ = jax.lax.while_loop(searching, refine, start)
     above, tied = key > cut, key == cut
     rank, _ = compact.ranks(tied)
     return above | (tied & (rank < allowed - jnp.sum(above, dtype=jnp.int32)))

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import exported, formats, terms, vector, window
+from ataa_jax import compact, exported, formats, terms, vector, window
 from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
@@ -69,6 +69,11 @@ __all__ = [
     "segmentation",
     "unpack_mask",
 ]
+
+
+# our choice: pixels at a time that look around for a similar motion; in a walk they are
+# under 1 % of the image.
+_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -263,7 +268,7 @@ def segmentation(
     on = [c._replace(term=term) for c, term in zip(on, measured, strict=True)]
     previous = window.nearest_index(row, column)
     new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
-    change, length = _motion_change(state, gbuffer, row, column, config)
+    change, length = _motion_change(state, gbuffer, row, column, ~new, params, config)
 
     disoccluded = jnp.zeros_like(new)
     if config.use_disocclusion:
@@ -383,17 +388,68 @@ def _motion_change(
     gbuffer: GBuffer,
     row: Float[Array, "h w"],
     column: Float[Array, "h w"],
+    known: Bool[Array, "h w"],
+    params: Params,
     config: Config,
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Returns (|m − m′|, max(|m|, |m′|)) in px.
 
     What an object in motion uncovers is found thereby: the reprojected pixel of the
     still background showed the object, whose motion differs. Under "neighbourhood" m′
-    is the one of the 3×3 that differs least.
+    is the one of the 3×3 that differs least. It is looked for only where it matters:
+    among `known` pixels, and where m′ of the reprojected pixel itself differs by more
+    than a limit, for a motion that differs less is within the limits as well.
     """
     x, y = gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    then_x, then_y = state.history.motion[..., 0], state.history.motion[..., 1]
-    steps = (-1.0, 0.0, 1.0) if config.disocclusion == "neighbourhood" else (0.0,)
+    own = x * x + y * y
+    then = state.history.motion[..., 0], state.history.motion[..., 1]
+    least, length = _most_similar(then, x, y, row, column, (0.0,))
+    if config.disocclusion == "neighbourhood":
+        limit = params.disocclusion_px + params.disocclusion_relative * jnp.sqrt(own)
+        limit = jnp.minimum(limit, params.reset_px)
+        # Longer motion may not lower the limit; and NaN is never within it.
+        within = (jnp.sqrt(least) <= limit) & (params.disocclusion_relative >= 0.0)
+        fields = tuple(plane.reshape(-1) for plane in (x, y, row, column))
+
+        def look_around(
+            index: Int[Array, " c"], used: Bool[Array, " c"], found: tuple[Array, Array]
+        ) -> tuple[Array, Array]:
+            taken = jnp.minimum(index, row.size - 1)  # the fill reads the last pixel
+            x, y, row_, column_ = (
+                field.at[taken].get(mode="promise_in_bounds") for field in fields
+            )
+            near = _most_similar(then, x, y, row_, column_, (-1.0, 0.0, 1.0))
+            return (
+                found[0].at[index].set(near[0], mode="drop"),
+                found[1].at[index].set(near[1], mode="drop"),
+            )
+
+        flat = vector.materialize((least.reshape(-1), length.reshape(-1)))
+        flat = compact.for_each_chunk(known & ~within, _CHUNK, look_around, flat)
+        least, length = (plane.reshape(row.shape) for plane in flat)
+    longer = jnp.maximum(own, length)
+    return vector.materialize((jnp.sqrt(least), jnp.sqrt(longer)))
+
+
+def _most_similar(
+    then: tuple[Float[Array, "h w"], Float[Array, "h w"]],
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+    row: Float[Array, "*n"],
+    column: Float[Array, "*n"],
+    steps: tuple[float, ...],
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """Returns (|m − m′|², |m′|²) of the neighbour m′ that differs least.
+
+    Args:
+        then: last frame's motion, px.
+        x: m, px, to the right.
+        y: likewise, downward.
+        row: where the pixel was, in index units.
+        column: likewise.
+        steps: of rows and of columns, from there to the neighbours.
+    """
+    size = (then[0].shape[0], then[0].shape[1])
 
     def in_row(
         step: Int[Array, ""] | int, best: tuple[Array, Array]
@@ -401,19 +457,16 @@ def _motion_change(
         least, length = best
         down = jnp.asarray(steps, jnp.float32)[step]
         for right in steps:
-            index = window.nearest_index(row + down, column + right)
-            px, py = window.read(then_x, index), window.read(then_y, index)
+            index = window.nearest_index(row + down, column + right, size)
+            px, py = (window.read(plane, index) for plane in then)
             difference = (x - px) ** 2 + (y - py) ** 2
             closer = difference < least
             least = jnp.where(closer, difference, least)
             length = jnp.where(closer, px * px + py * py, length)
         return least, length
 
-    # A loop, so that what one row of neighbours reads takes the place of the last's.
     start = jnp.full(x.shape, jnp.inf, jnp.float32), jnp.zeros(x.shape, jnp.float32)
-    least, length = jax.lax.fori_loop(0, len(steps), in_row, start)
-    longer = jnp.maximum(x * x + y * y, length)
-    return vector.materialize((jnp.sqrt(least), jnp.sqrt(longer)))
+    return jax.lax.fori_loop(0, len(steps), in_row, start)
 
 
 def _was_hidden(

@@ -257,9 +257,11 @@ def _read_history(
         falls on). All weights but one are exactly 0 at a pixel centre.
     """
     height, width = row.shape
-    mapped = vector.stack(_to_average(vector.unstack(image), config))
-    # Texels with their three channels side by side: one cache line a read.
-    texels = vector.materialize(mapped).reshape(-1, 3)
+    mapped = _to_average(vector.unstack(image), config)
+    # Texels with their channels side by side, four of them, the last unused: a read is
+    # one load of a vector, and the filter twice as fast as with three.
+    channels = (mapped.x, mapped.y, mapped.z, jnp.zeros_like(mapped.x))
+    texels = vector.materialize(jnp.stack(channels, axis=-1)).reshape(-1, 4)
     fraction_y, fraction_x = row - jnp.floor(row), column - jnp.floor(column)
     if config.history_filter == "bilinear":
         reach = range(2)
@@ -269,13 +271,17 @@ def _read_history(
         weights_y, weights_x = _catmull_rom(fraction_y), _catmull_rom(fraction_x)
     rows = [window.floor_index(row + k, height) * width for k in reach]
     columns = [window.floor_index(column + k, width) for k in reach]
+    # Materialized: fused into the filter, they would be computed for every channel.
+    weights_y, weights_x, rows, columns = vector.materialize(
+        (weights_y, weights_x, rows, columns)
+    )
 
     def texel(r: Array, c: Array) -> Array:
         return texels.at[r + c].get(mode="promise_in_bounds")
 
-    total = jnp.zeros((height, width, 3), jnp.float32)
+    total = jnp.zeros((height, width, 4), jnp.float32)
     for r, weight_y in zip(rows, weights_y, strict=True):
-        line = jnp.zeros((height, width, 3), jnp.float32)
+        line = jnp.zeros((height, width, 4), jnp.float32)
         for c, weight_x in zip(columns, weights_x, strict=True):
             line = line + weight_x[..., None] * texel(r, c)
         total = total + weight_y[..., None] * line
@@ -292,7 +298,7 @@ def _read_history(
         total = jnp.clip(total, low, high)
     exact = image.reshape(-1, 3).at[rows[middle] + columns[middle]]
     total, exact = vector.materialize((total, exact.get(mode="promise_in_bounds")))
-    filtered = _in_range(vector.unstack(total), config)
+    filtered = _in_range(vector.unstack(total[..., :3]), config)
     return filtered, colors.sanitize_vec(vector.unstack(exact))
 
 

@@ -77,14 +77,21 @@ def inside(row: Float[Array, "h w"], column: Float[Array, "h w"]) -> Bool[Array,
 
 
 def nearest_index(
-    row: Float[Array, "h w"], column: Float[Array, "h w"]
-) -> Int[Array, "h w"]:
+    row: Float[Array, "*n"],
+    column: Float[Array, "*n"],
+    size: tuple[int, int] | None = None,
+) -> Int[Array, "*n"]:
     """Returns the flat index of the texel that a position falls in, clamped to edge.
 
     A position on the border between two texels belongs to the right or lower one. NaN
     gives index 0.
+
+    Args:
+        row: in index units.
+        column: likewise.
+        size: image (height, width); None: there is a position for every pixel of it.
     """
-    height, width = row.shape
+    height, width = size or row.shape
     r, c = floor_index(row + 0.5, height), floor_index(column + 0.5, width)
     return r * width + c
 
