@@ -77,9 +77,10 @@ def apply_budget(
     keeps = jax.lax.cond(
         wanted > allowed,
         _highest,
-        lambda wants, score, allowed: wants,
+        lambda wants, score, wanted, allowed: wants,
         wants,
         segmented.score,
+        wanted,
         allowed,
     )
     loses = wants & ~keeps
@@ -95,9 +96,12 @@ def apply_budget(
 
 
 def _highest(
-    wants: Bool[Array, "h w"], score: Float[Array, "h w"], allowed: Int[Array, ""]
+    wants: Bool[Array, "h w"],
+    score: Float[Array, "h w"],
+    wanted: Int[Array, ""],
+    allowed: Int[Array, ""],
 ) -> Bool[Array, "h w"]:
-    """Returns the `allowed` highest scores among more candidates than that.
+    """Returns the `allowed` highest scores among candidates, `wanted`, which are more.
 
     No sort: the bits of floats that are at least 0 order like integers, so the cut,
     the largest key that `allowed` candidates reach, is found bit by bit.
@@ -119,8 +123,7 @@ def _highest(
         cut, reached = jnp.where(enough, higher, cut), jnp.where(enough, count, reached)
         return step + 1, cut, reached
 
-    every = jnp.sum(wants, dtype=jnp.int32)
-    start = jnp.int32(0), jnp.int32(0), every
+    start = jnp.int32(0), jnp.int32(0), wanted
     _, cut, _ = jax.lax.while_loop(searching, refine, start)
     above, tied = key > cut, key == cut
     rank, _ = compact.ranks(tied)

@@ -20,11 +20,10 @@ from functools import reduce
 from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ataa_jax import compact, exported, formats, terms, vector, window
+from ataa_jax import exported, formats, previous_motion, terms, vector, window
 from ataa_jax.errors import InputError
 from ataa_jax.mask import (
     HOLD_MAX,
@@ -69,11 +68,6 @@ __all__ = [
     "segmentation",
     "unpack_mask",
 ]
-
-
-# our choice: pixels at a time that look around for a similar motion; in a walk they are
-# under 1 % of the image.
-_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -268,11 +262,10 @@ def segmentation(
     on = [c._replace(term=term) for c, term in zip(on, measured, strict=True)]
     previous = window.nearest_index(row, column)
     new = ~(state.history.valid & gbuffer.motion_valid & window.inside(row, column))
-    change, length = _motion_change(state, gbuffer, row, column, ~new, params, config)
+    change, limit = _motion_change(state, gbuffer, row, column, ~new, params, config)
 
     disoccluded = jnp.zeros_like(new)
     if config.use_disocclusion:
-        limit = params.disocclusion_px + params.disocclusion_relative * length
         disoccluded = ~(change <= limit)  # a previous motion of NaN disoccludes
         then = window.read(state.history.depth, previous)
         nearer = _was_hidden(gbuffer.depth, then, params.depth_relative)
@@ -392,81 +385,32 @@ def _motion_change(
     params: Params,
     config: Config,
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Returns (|m − m′|, max(|m|, |m′|)) in px.
+    """Returns (|m − m′|, the most that may be for no disocclusion), px.
 
-    What an object in motion uncovers is found thereby: the reprojected pixel of the
-    still background showed the object, whose motion differs. Under "neighbourhood" m′
-    is the one of the 3×3 that differs least. It is looked for only where it matters:
-    among `known` pixels, and where m′ of the reprojected pixel itself differs by more
-    than a limit, for a motion that differs less is within the limits as well.
+    Under "neighbourhood" m′ is the one of the 3×3 that differs least. It is looked for
+    only where it matters: among `known` pixels, and where m′ of the reprojected pixel
+    itself differs by more than a limit, for one that differs less is within the limits
+    as well.
     """
-    x, y = gbuffer.motion[..., 0], gbuffer.motion[..., 1]
-    own = x * x + y * y
-    then = state.history.motion[..., 0], state.history.motion[..., 1]
-    least, length = _most_similar(then, x, y, row, column, (0.0,))
+    motion, then = gbuffer.motion, state.history.motion
+    own = motion[..., 0] ** 2 + motion[..., 1] ** 2
+    found = previous_motion.at_pixel(motion, then, row, column)
     if config.disocclusion == "neighbourhood":
-        limit = params.disocclusion_px + params.disocclusion_relative * jnp.sqrt(own)
-        limit = jnp.minimum(limit, params.reset_px)
+        limit = jnp.minimum(_motion_limit(jnp.sqrt(own), params), params.reset_px)
         # Longer motion may not lower the limit; and NaN is never within it.
-        within = (jnp.sqrt(least) <= limit) & (params.disocclusion_relative >= 0.0)
-        fields = tuple(plane.reshape(-1) for plane in (x, y, row, column))
-
-        def look_around(
-            index: Int[Array, " c"], used: Bool[Array, " c"], found: tuple[Array, Array]
-        ) -> tuple[Array, Array]:
-            taken = jnp.minimum(index, row.size - 1)  # the fill reads the last pixel
-            x, y, row_, column_ = (
-                field.at[taken].get(mode="promise_in_bounds") for field in fields
-            )
-            near = _most_similar(then, x, y, row_, column_, (-1.0, 0.0, 1.0))
-            return (
-                found[0].at[index].set(near[0], mode="drop"),
-                found[1].at[index].set(near[1], mode="drop"),
-            )
-
-        flat = vector.materialize((least.reshape(-1), length.reshape(-1)))
-        flat = compact.for_each_chunk(known & ~within, _CHUNK, look_around, flat)
-        least, length = (plane.reshape(row.shape) for plane in flat)
-    longer = jnp.maximum(own, length)
-    return vector.materialize((jnp.sqrt(least), jnp.sqrt(longer)))
+        within = jnp.sqrt(found.difference) <= limit
+        within &= params.disocclusion_relative >= 0.0
+        found = previous_motion.look_around(
+            found, known & ~within, motion, then, row, column
+        )
+    longer = jnp.maximum(own, found.length)
+    change, longer = vector.materialize((jnp.sqrt(found.difference), jnp.sqrt(longer)))
+    return change, _motion_limit(longer, params)
 
 
-def _most_similar(
-    then: tuple[Float[Array, "h w"], Float[Array, "h w"]],
-    x: Float[Array, "*n"],
-    y: Float[Array, "*n"],
-    row: Float[Array, "*n"],
-    column: Float[Array, "*n"],
-    steps: tuple[float, ...],
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """Returns (|m − m′|², |m′|²) of the neighbour m′ that differs least.
-
-    Args:
-        then: last frame's motion, px.
-        x: m, px, to the right.
-        y: likewise, downward.
-        row: where the pixel was, in index units.
-        column: likewise.
-        steps: of rows and of columns, from there to the neighbours.
-    """
-    size = (then[0].shape[0], then[0].shape[1])
-
-    def in_row(
-        step: Int[Array, ""] | int, best: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
-        least, length = best
-        down = jnp.asarray(steps, jnp.float32)[step]
-        for right in steps:
-            index = window.nearest_index(row + down, column + right, size)
-            px, py = (window.read(plane, index) for plane in then)
-            difference = (x - px) ** 2 + (y - py) ** 2
-            closer = difference < least
-            least = jnp.where(closer, difference, least)
-            length = jnp.where(closer, px * px + py * py, length)
-        return least, length
-
-    start = jnp.full(x.shape, jnp.inf, jnp.float32), jnp.zeros(x.shape, jnp.float32)
-    return jax.lax.fori_loop(0, len(steps), in_row, start)
+def _motion_limit(length: Float[Array, "h w"], params: Params) -> Float[Array, "h w"]:
+    """Returns by how much motion of a length, both px, may change in a frame."""
+    return params.disocclusion_px + params.disocclusion_relative * length
 
 
 def _was_hidden(
