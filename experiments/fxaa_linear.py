@@ -11,10 +11,10 @@ the rounds, which other work disturbs less than the clock's; the clock's median 
 least are given beside it. A line a + b · pixels is fitted to cpu by least squares,
 against the pixels asked for and against those of them that show an edge.
 
-Found: linear, R² 0.989 to 0.9995 in every series, but not down to 0: what all pixels
-pay (luma, contrast, compaction, half of a chunk of 4,096) is 4 to 10 % of the full
-cost, and 13 to 15 % on the built-in scene at 640×360, where all of the screen takes but
-35 ms of processor time. Chunks of 8,192 left 15 to 20 % on the built-in scene.
+Found: linear, R² 0.996 to 0.9999 in every series, but not down to 0: what all pixels
+pay (luma, contrast, compaction, half of a chunk of 4,096) is 3 to 9 % of the full
+cost, and 11 to 15 % in two runs on the built-in scene at 640×360, where all of the
+screen takes but 40 ms of processor time. Chunks of 8,192 left 15 to 20 % there.
 
     python experiments/fxaa_linear.py         # writes results/fxaa_linear.csv, .png
 """
